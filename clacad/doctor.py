@@ -37,16 +37,10 @@ _REQUIREMENT = re.compile(r"\s*([A-Za-z0-9._-]+)\s*([^;]*?)\s*(?:;\s*extra\s*==\
 class Diagnosis:
     """One thing that was looked at.
 
-    Parameters
-    ----------
-    topic : str
-        packages, kernel, memory, disk, cache, rates, threads, fonts or readers.
-    name : str
+    topic : packages, kernel, memory, disk, cache, rates, threads, fonts or readers.
     state : "ok", "warn", "fail" or "absent"
-    value : str, float, int or None
-        What was found; bytes, seconds or bytes per second where it is a number.
-    sentence : str
-        What it means, and what to do about it if it is not ok.
+    value : float, int or None. What was found; bytes, seconds or bytes per second where it is a number.
+    sentence : What it means, and what to do about it if it is not ok.
     """
 
     topic: str
@@ -63,14 +57,7 @@ class Diagnosis:
 def examine(folder: str | os.PathLike[str] = ".") -> tuple[Diagnosis, ...]:
     """Look at this installation and at one folder.
 
-    Parameters
-    ----------
-    folder : path
-        Where files would be written. A private folder of 32 MiB is made there and removed again.
-
-    Returns
-    -------
-    tuple of Diagnosis
+    folder : Where files would be written. A private folder of 32 MiB is made there and removed again.
     """
     return (
         *_versions(),

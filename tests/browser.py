@@ -68,7 +68,7 @@ class Browser:
             message["sessionId"] = self.session
         self.socket.send(json.dumps(message))
         while True:
-            answer = json.loads(self.socket.recv(timeout=60))
+            answer = json.loads(self.socket.recv(timeout=150))
             if answer.get("id") == self.number:
                 if "error" in answer:
                     raise RuntimeError(f"{method}: {answer['error']}")
@@ -88,7 +88,7 @@ class Browser:
             raise RuntimeError(result["exceptionDetails"])
         return result["result"].get("value")
 
-    def wait(self, condition, seconds=30.0):
+    def wait(self, condition, seconds=150.0):
         """Wait until a condition holds in the page."""
         end = time.monotonic() + seconds
         while not self.run(condition):

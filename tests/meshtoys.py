@@ -38,7 +38,9 @@ def piece(name: str = "array1", places: Places | None = None, steps: int = 4) ->
     """The block as a piece with (made-up but unit) vertex normals."""
     vertices, triangles = block(steps=steps)
     outward = vertices - np.array([0.0, 0.0, 0.1])
-    return Piece(name, vertices, triangles, outward / np.linalg.norm(outward, axis=1, keepdims=True), places)
+    return Piece.of(
+        name, vertices, triangles, outward / np.linalg.norm(outward, axis=1, keepdims=True), places
+    )
 
 
 def grid(n1: int, n2: int) -> Places:

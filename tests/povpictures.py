@@ -16,6 +16,7 @@ from viewscenes import ROOT
 from clacad.base.types import Floats
 from clacad.exporting.pov.pov_scene import write_pov
 from clacad.prescription.prescribe import prescribe
+from clacad.rendering.sheet_passage import stack_of
 from clacad.scene import Scene
 
 needs_povray = pytest.mark.skipif(shutil.which("povray") is None, reason="POV-Ray is not installed")
@@ -24,7 +25,7 @@ needs_povray = pytest.mark.skipif(shutil.which("povray") is None, reason="POV-Ra
 def povray(scene: Scene, folder: Path, seconds: list[float] | None = None) -> Floats:
     """Linear light (h, w, 3) as POV-Ray renders a scene on one thread."""
     path = folder / "s.pov"
-    write_pov(prescribe(scene.design()), path, scene)
+    write_pov(stack_of(scene) if len(scene.sheets) > 1 else prescribe(scene.design()), path, scene)
     width, height = scene.camera.pixels
     before = os.times().children_user
     subprocess.run(

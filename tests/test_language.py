@@ -11,37 +11,10 @@ from pathlib import Path
 
 import pytest
 from package_source import syntax
+from plain_words import ADDRESSED, ANY, LEFT_OUT
 
 TESTS = Path(__file__).parent
 PACKAGE = TESTS.parent / "clacad"
-
-LEFT_OUT = {
-    r"tells?|told|says?|said": "reports, returns, prints, records, gives; states (of a file or a person)",
-    r"stands?(?!-alone)|stood|standing": "is, lies at, is located at, is mounted; represents",
-    r"beside": "next to, with, compared with, in addition to",
-    r"held (?:against|to)": "compared with, checked against",
-    r"asks?|asked(?! questions)": "requests, requested, specified",
-    r"so many|so manieth": "count of, number of, every n-th",
-    r"shall": "must, will",
-    r"a hair": "tolerance, rounding error",
-    r"anew": "again, from scratch",
-    r"for ever": "forever, until the process ends",
-    r"whatever|whoever": "regardless of, any",
-    r"lessens?": "reduces",
-    r"hangs? on": "depends on",
-    r"cells differ|differing cells": "non-uniform sheet",
-    r"equal cells": "uniform sheet, identical cells",
-    r"strangers?(?:'s)?": "untrusted file",
-    r"came back|comes back": "was measured, is returned",
-    r"stand-ins?": "substitute, representative cell",
-    r"overheard": "hash while reading",
-    r"worked out|works out": "computed, derived",
-    r"one and the other": "both, all, each",
-}
-"""Words, as regular expressions → what is written instead."""
-
-ADDRESSED = r"asks?|says?"
-"""Words that a message may use, as in "ask to overwrite" and "the manifest says"."""
 
 
 def prose(text: str) -> Iterator[tuple[int, str]]:
@@ -62,9 +35,12 @@ def prose(text: str) -> Iterator[tuple[int, str]]:
 def found(path: Path) -> list[str]:
     """Places of words that are left out, with what to write."""
     quoted = re.compile(r"`[^`]*`|\"[^\"]*\"")
+    if not ANY.search(text := path.read_text(encoding="utf-8")):
+        return []
     return [
         f"{path.relative_to(TESTS.parent)}:{number}: {match[0]!r}: write {instead}"
-        for number, line in prose(path.read_text(encoding="utf-8"))
+        for number, line in prose(text)
+        if ANY.search(line)
         for pattern, instead in LEFT_OUT.items()
         for match in re.finditer(rf"\b(?:{pattern})\b", quoted.sub("", line), re.IGNORECASE)
     ]
@@ -72,13 +48,15 @@ def found(path: Path) -> list[str]:
 
 def in_messages(path: Path) -> list[str]:
     """Places of left-out words in texts of several words that are no docstrings."""
+    if not ANY.search(path.read_text(encoding="utf-8")):
+        return []
     tree = syntax(path)
     docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     return [
         f"{path.relative_to(PACKAGE)}:{node.lineno}: {match[0]!r}: write {instead}"
         for node in ast.walk(tree)
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value
-        if id(node) not in docstrings
+        if id(node) not in docstrings and ANY.search(node.value)
         for pattern, instead in LEFT_OUT.items()
         for match in re.finditer(rf"\b(?:{pattern})\b", node.value, re.IGNORECASE)
         if not re.fullmatch(ADDRESSED, match[0], re.IGNORECASE)

@@ -33,8 +33,10 @@ ROOMS = [
     "imaging",  # where light of a point meets behind a sheet, and tables that send light into a pattern
     "exporting",
     "waves",  # light as a wave through one telescopelet, in addition to its rays
+    "steering",  # plates that move: the light at every position of a scan
     "checks",  # kinds of checks: code, unit, limit, explanation, levers
     "judging",  # files against a design: found, placed, whole, in shape, lit
+    "measuring",  # made parts as an instrument measures them: maps read, fitted, lit, judged
     "verification",
     "stacking",  # sheets behind one another
     "advice",  # forecast of verify's verdict, and the keys that would change it

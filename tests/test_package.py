@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import subprocess
 import sys
@@ -57,6 +58,38 @@ assert trace is clacad.trace
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+USER = """
+import clacad
+
+design = clacad.load("slab", ["lattice.count = [3, 3]"])
+window: clacad.Window = clacad.prescribe(design)
+result: clacad.TraceResult = clacad.trace(window, clacad.Rays((0.0, 0.0, -1.0), (0.01, 0.0, 1.0)))
+exits: list[float] = result.direction[:, 0].tolist()
+words: str = clacad.verify(design).verdict()
+share: float = clacad.stack([design, design], 1.0).share
+clacad.trace(design, "rays")
+clacad.tracee
+"""
+"""A program of a user; its last two lines are mistakes."""
+
+
+@pytest.mark.slow
+def test_a_type_checker_knows_every_public_name_in_the_program_of_a_user(tmp_path):
+    """No argument and no result is Any; values of JSON, shapes of arrays and solids of build123d are."""
+    reveal = "".join(f"reveal_type(clacad.{name})\n" for name in clacad.__all__)
+    (tmp_path / "user.py").write_text(USER + reveal, encoding="utf-8")
+    root = Path(__file__).parents[1]
+    checker = [sys.executable, "-m", "mypy", "--strict", "--cache-dir", root / ".mypy_cache", "user.py"]
+    env = {**os.environ, "MYPYPATH": str(root)}
+    done = subprocess.run(checker, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
+    errors = re.findall(r"user.py:(\d+): error: .*\[(.*)\]", done.stdout)
+    lines = [str(k) for k, line in enumerate(USER.splitlines(), 1) if re.match(r"clacad\.trace", line)]
+    assert errors == [(lines[0], "arg-type")] * 2 + [(lines[1], "attr-defined")]
+    types = dict(zip(clacad.__all__, re.findall(r'note: Revealed type is "(.*)"', done.stdout), strict=True))
+    untyped = {name for name, kind in types.items() if re.search(r"(: |-> |^|list\[)Any\b", kind)}
+    assert untyped == {"solids"}
+
+
 def test_a_name_that_does_not_exist_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'tracee'"):
         clacad.tracee  # noqa: B018
@@ -72,12 +105,12 @@ def test_every_module_imports_in_a_clean_checkout():
 
 
 def documented(text: str) -> set[str]:
-    """Names listed under Parameters and Attributes of a class's docstring."""
+    """Names that a class's docstring lists: under Parameters and Attributes, or as lines "name : meaning"."""
     lines, found, within = text.splitlines(), set(), False
     for line, below in pairwise([*lines, ""]):
         if below.startswith("---"):
             within = line in ("Parameters", "Attributes")
-        elif within and line[:1].isalpha():
+        elif line[:1].isalpha() and (within or re.match(r"\w+(, \w+)* : ", line)):
             for part in re.split(r", (?=\w+ :)", line):
                 found |= {name for name in re.split(r",\s*", part.split(" :")[0]) if name.isidentifier()}
     return found

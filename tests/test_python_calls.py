@@ -9,6 +9,7 @@ import pytest
 from oracle.windows import biconvex, slab
 
 import clacad
+from clacad.checks.check import Check
 from clacad.verification.verification_report import Report
 
 DESIGN = clacad.load(Path(__file__).parents[1] / "designs" / "window-100mm.toml", ["lattice.count=[3, 3]"])
@@ -92,8 +93,15 @@ def test_objects_are_told_in_a_short_line():
     assert repr(told[4]) == "TraceResult(1 ALIVE)"
 
 
-def test_results_that_take_longer_are_told_in_a_line(monkeypatch):
-    monkeypatch.setattr(Report, "verdict", lambda _self: "passed: 30 checks")
+def test_a_report_is_told_in_a_short_table(monkeypatch):
+    monkeypatch.setattr(Report, "verdict", lambda _self: "failed: law_rms")
     report = object.__new__(Report)
-    object.__setattr__(report, "design", DESIGN)
-    assert repr(report) == "Report('window-100mm', passed: 30 checks)"
+    checks = (Check("law_rms", "fail", "too much"), Check("law_bias", "pass", "well within"))
+    for name, value in (("design", DESIGN), ("checks", checks), ("verdicts", ())):
+        report.__dict__[name] = value
+    assert repr(report).splitlines() == [
+        "window-100mm",
+        "  pass  1 check",
+        "  fail  law_rms  too much",
+        "failed: law_rms",
+    ]

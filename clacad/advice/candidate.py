@@ -8,15 +8,17 @@ blur from the quarter-wave rule (wave-traced within 10 %).
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import floor, inf, isfinite, log10, sqrt
 from typing import Any, Final, Literal
 
-from clacad.advice.wish import KEYS, Wish, angle_text, wavelength_text
+from clacad.advice.wish import KEYS, Wish, angle_text, mrad_value, wavelength_text
 from clacad.checks.check import NEAR
 from clacad.design import Design
 from clacad.design.process_profiles import profile
+from clacad.design.starter_designs import template
 from clacad.optics.material.catalogue import find
 from clacad.sheet.feasibility import derived_numbers
 
@@ -31,6 +33,13 @@ FEWEST_CELLS = 5
 
 SPHERICAL = 1.5
 """Rms error of a slab of spheres with eta = -1, over (pitch/separation)³."""
+
+
+CURVED: Final = {
+    ("PMMA", "PC"): ("achromat-polycarbonate", 10.0),
+    ("PMMA", "PS"): ("achromat-plastic", 10.0),
+}
+"""Outer and inner material of slabs with curved joints: starter, and its separation (mm) at eta = -1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +97,7 @@ def wanted_pitch(wish: Wish) -> PitchBound:
         return PitchBound(wish.pitch, "as wished")
     if wish.object is not None:
         return PitchBound(
-            sharpest_pitch(wish, wish.object),
-            f"least blur of what is {wish.object:g} mm behind the sheet",
+            sharpest_pitch(wish, wish.object), f"least blur of what is {wish.object:g} mm behind the sheet"
         )
     return PitchBound(balanced_pitch(wish), f"pixel and diffraction alike, seen from {wish.distance:g} mm")
 
@@ -194,20 +202,14 @@ FORMS: Final[tuple[tuple[Form, Curved], ...]] = (
 class Variant:
     """Construction of a pair, apart from its sizes.
 
-    Parameters
-    ----------
-    form, curved : str
-        `curved` counts for plano only.
-    conic : float or None
-        Of both meridians of both lenses; None: ellipsoids.
-    aperture : float
-        Slope of the centre of the field over that of the line through both lenses: 1 is along the lenses, 0
-        along the sheet's normal.
-    slope : (2,) tuple of float
-        That of the line through both lenses, sheet frame.
-    eye : {"", "field lens", "aimed"}
-        Means that directs the oblique light of a stated eye to its partner cell: none, a field lens, or cells
-        aimed at the eye.
+    form, curved : str. `curved` counts for plano only.
+    conic : Of both meridians of both lenses; None: ellipsoids.
+    aperture : Slope of the centre of the field over that of the line through both lenses: 1 is along the
+        lenses, 0 along the sheet's normal.
+    slope : (2,) tuple of float. That of the line through both lenses, sheet frame.
+    eye : {"", "field lens", "aimed"}. Means that directs the oblique light of a stated eye to its partner
+        cell: none, a field lens, or cells aimed at the eye.
+    layers : Materials of a slab of layers, in the order of the light; empty: the wish's one material.
     """
 
     form: Form
@@ -216,11 +218,12 @@ class Variant:
     aperture: float = 1.0
     slope: tuple[float, float] = (0.0, 0.0)
     eye: Literal["", "field lens", "aimed"] = ""
+    layers: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """Return its name: "slab with field lenses"."""
         return (
-            self.form
+            "|".join(self.layers or (self.form,))
             + {"": "", "field lens": " with field lenses", "aimed": " with cells aimed at the eye"}[self.eye]
         )
 
@@ -241,10 +244,7 @@ def built(
 ) -> Design:
     """Design of a variant at a pitch (mm) and a separation of `ratio` pitches, rounded to three digits.
 
-    Raises
-    ------
-    DesignError
-        There is no such lens, or an override does not fit.
+    Raises DesignError: There is no such lens, or an override does not fit.
     """
     return Design.from_dict(_keys(wish, variant, pitch, ratio, name), overrides)
 
@@ -269,6 +269,8 @@ def _keys(wish: Wish, variant: Variant, pitch: float, ratio: float, name: str) -
 
 
 def _pair(wish: Wish, variant: Variant, separation: float, web: float) -> dict[str, Any]:
+    if variant.layers:
+        return _of_layers(wish, variant, separation)
     pair: dict[str, Any] = {"form": variant.form, "separation": separation}
     if variant.form == "plano":
         pair["curved"] = variant.curved
@@ -285,10 +287,31 @@ def _pair(wish: Wish, variant: Variant, separation: float, web: float) -> dict[s
     return pair
 
 
+def _of_layers(wish: Wish, variant: Variant, separation: float) -> dict[str, Any]:
+    """Section [pair] of a slab of layers with a separation in millimetres."""
+    starter, size = CURVED.get((variant.layers[0], variant.layers[1]), ("", 1.0))
+    if not starter:
+        return {
+            "form": "slab",
+            "separation": separation,
+            "layers": list(variant.layers),
+            "wavelength": wavelength_text(wish.wavelength),
+        }
+    pair: dict[str, Any] = tomllib.loads(template("starter", starter))["pair"]
+    scale = separation / size
+    faces = [
+        {key: value * scale if key in ("radius", "z") else value for key, value in face.items()}
+        for face in pair["face"]
+    ]
+    return {**pair, "face": faces}
+
+
 def _check(wish: Wish) -> dict[str, Any]:
     check: dict[str, Any] = {"process": wish.process}
     if wish.field != KEYS["field"].default:
         check["field"] = angle_text(wish.field)
+    if wish.white is not None:
+        check["law_white"] = mrad_value(wish.white)
     places = {"viewer": wish.viewing, "object": wish.object}
     return check | {name: value for name, value in places.items() if value is not None}
 

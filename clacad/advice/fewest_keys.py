@@ -26,8 +26,9 @@ from clacad.advice.lever_trials import (
     settled,
     size_of,
 )
+from clacad.base.interactive import shown_progress
 from clacad.base.text import plain
-from clacad.base.types import Progress, silent
+from clacad.base.types import Progress
 from clacad.checks.check import Check
 from clacad.checks.levers import UNBUILT, Lever
 from clacad.config.edit_text import value_text
@@ -119,7 +120,7 @@ def _each_id(checks: Sequence[Check]) -> list[Check]:
 
 
 def fix(design: Design, progress: Progress | None = None) -> Fixed:
-    """Find the fewest keys that make a design pass; law, material, process and all limits are kept.
+    """Change the fewest keys so that a design passes; law, material, process and all limits are kept.
 
     Parameters
     ----------
@@ -132,8 +133,16 @@ def fix(design: Design, progress: Progress | None = None) -> Fixed:
     -------
     Fixed
         Its `passes` is False if no trial passes.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]", "check.law_rms = 0.02 mrad"])
+    >>> fixed = clacad.fix(design)
+    >>> fixed.passes, fixed.changes
+    (True, {'pair.separation': 14})
     """
-    trials = Trials(design, TRIALS, progress or silent, SECONDS)
+    trials = Trials(design, TRIALS, shown_progress(progress), SECONDS)
     asked = trials.judged({})
     if asked is not None and asked.passes:
         return Fixed(design, design, {}, asked, 1)

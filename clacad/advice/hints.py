@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from math import nan
 from typing import Any, Final
 
-from clacad.advice.judged import Judged
+from clacad.advice.judged import Judged, judge
 from clacad.advice.lever_trials import (
     Changes,
     NoMoreTrials,
@@ -47,12 +47,8 @@ WORTH: Final = 0.9
 class Sharper:
     """Keys that make light sharper and cost nothing, tried.
 
-    Attributes
-    ----------
-    changes : mapping
-        Values by dotted key.
-    before, after : float, radians
-        Rms error to the law.
+    changes : Values by dotted key.
+    before, after : radians. Rms error to the law.
     """
 
     changes: Changes
@@ -76,7 +72,13 @@ class Sharper:
 def sharper(judged: Judged, trials: Trials) -> Sharper | None:
     """Change at no cost, if the design is a slab of ellipsoids and the traced error falls enough."""
     pair = judged.design.pair
-    if pair.form != "slab" or pair.given or pair.surface != "ellipsoid" or pair.depth is not None:
+    if (
+        pair.form != "slab"
+        or pair.given
+        or pair.layers
+        or pair.surface != "ellipsoid"
+        or pair.depth is not None
+    ):
         return None
     try:
         after = trials.judged(CHANGES)
@@ -187,7 +189,7 @@ class Advice:
 
 
 def advise(design: Design, progress: Progress | None = None, judged: Judged | None = None) -> Advice:
-    """Find for each check that fails or warns a key and value that mend it; each was tried.
+    """Suggest a remedy for each check that fails or warns: a key and a value that mend it; each was tried.
 
     Parameters
     ----------
@@ -201,12 +203,20 @@ def advise(design: Design, progress: Progress | None = None, judged: Judged | No
     ------
     DesignError
         The design cannot be built; `clacad.fix` looks for one that can.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]", "check.law_rms = 0.02 mrad"])
+    >>> advice = clacad.advise(design)
+    >>> for check, hints in advice.hints:
+    ...     print(check.id, "|", hints[0])
+    law_rms | pair.separation = 14 passes: law_rms 0.018223 mrad (<= 0.02)
     """
-    from clacad.advice.judged import judge
-    from clacad.base.types import silent
+    from clacad.base.interactive import shown_progress
 
     judged = judge(design) if judged is None else judged
-    trials = Trials(design, TRIALS, progress or silent, SECONDS)
+    trials = Trials(design, TRIALS, shown_progress(progress), SECONDS)
     wanted = [*judged.failing, *judged.warning]
     found: list[Changes] = []
     try:

@@ -8,20 +8,19 @@ limit.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
-from clacad.checks.check import ALLOWANCE, Check, accepted, passed, wrong
+from clacad.base.interactive import Tabular
+from clacad.checks.check import ALLOWANCE, Check, accepted, check_columns, passed, short_table, wrong
 from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.feasibility import Feasibility, feasibility
+from clacad.sheet.feasibility import Feasibility, describe, feasibility
 from clacad.sheet.window import Window
 from clacad.verification.design_rules import design_checks
 from clacad.verification.light.law_checks import judge_light
-
-if TYPE_CHECKING:
-    pass
 
 RAYS, POINT_RAYS = 8192, 1024
 """Rays of the main bundle (65536 in verify), and of each field point (4096 in verify)."""
@@ -31,7 +30,7 @@ TIGHT = 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class Judged:
+class Judged(Tabular):
     """A design as built, with its checks; light is traced at the first access.
 
     Attributes
@@ -45,6 +44,8 @@ class Judged:
         The design rules; warnings that the design allows are marked.
     remedies : bool
         Whether the check `viewed` tries which changes reach its limit, and names them.
+    judged_only : bool
+        Whether white light and temperature are measured only where the design limits them.
     """
 
     design: Design
@@ -52,13 +53,34 @@ class Judged:
     facts: Feasibility
     rules: tuple[Check, ...]
     remedies: bool = False
+    judged_only: bool = False
+
+    def __repr__(self) -> str:
+        """Short table: checks that do not pass, and the forecast of the verdict last."""
+        return f"{self.design.name}\n{short_table(self.checks)}\n{self.verdict()}"
+
+    def to_columns(self) -> dict[str, Any]:
+        """One row for each check."""
+        return check_columns(self.checks)
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready content: derived numbers, checks and the forecast of the verdict."""
+        return {
+            "design": self.design.name,
+            "derived": [list(row) for row in describe(self.window, self.facts)],
+            "recipe": dict(self.window.recipe),
+            "residual": dict(self.window.residual),
+            "checks": [check.to_dict() for check in self.checks],
+            "passed": self.passes,
+            "verdict": self.verdict(),
+        }
 
     @cached_property
     def light(self) -> tuple[Check, ...]:
         """Checks by light, through one cell of the exact surfaces."""
         from clacad.verification.light.viewed import name_remedies
 
-        found, _ = judge_light(self.design, self.window, RAYS, POINT_RAYS)
+        found, _ = judge_light(self.design, self.window, RAYS, POINT_RAYS, judged_only=self.judged_only)
         if self.remedies:
             found = name_remedies([*found, *self.rules], self.design, self.window)[: len(found)]
         return tuple(found)
@@ -92,6 +114,18 @@ class Judged:
             if c.state == "warn" and "accepted" not in c.detail and c.kind is not ALLOWANCE
         )
 
+    def verdict(self) -> str:
+        """Forecast of the verdict of verify in one line."""
+        if not self.passes:
+            return f"verify will fail: {_ids(self.failing)}"
+        notes = [f"warning of {_ids(self.warning)}"] if self.warning else []
+        notes += [f"{_ids(self.tight)} at the very limit"] if self.tight else []
+        return "verify will pass" + (f", {'; '.join(notes)}" if notes else "")
+
+
+def _ids(checks: Iterable[Check]) -> str:
+    return ", ".join(dict.fromkeys(check.id for check in checks))
+
 
 def tight(check: Check) -> bool:
     """Whether a measured number is within TIGHT of its limit; counts of mistakes (limit 0) are excluded."""
@@ -102,7 +136,7 @@ def tight(check: Check) -> bool:
     return abs(check.value - check.limit) <= TIGHT * abs(check.limit)
 
 
-def judge(design: Design, *, remedies: bool = False) -> Judged:
+def judge(design: Design, *, remedies: bool = False, judged_only: bool = False) -> Judged:
     """Build a design's window, to be judged as verify will judge it.
 
     Parameters
@@ -110,6 +144,8 @@ def judge(design: Design, *, remedies: bool = False) -> Judged:
     design : Design
     remedies : bool
         Whether the check `viewed` tries which changes reach its limit, and names them.
+    judged_only : bool
+        Whether white light and temperature are measured only where the design limits them: for trials.
 
     Raises
     ------
@@ -119,4 +155,36 @@ def judge(design: Design, *, remedies: bool = False) -> Judged:
     window = prescribe(design)
     facts = feasibility(window, *design.viewing_places)
     rules = design_checks(design, window, facts, solved=False)
-    return Judged(design, window, facts, rules, remedies)
+    return Judged(design, window, facts, rules, remedies, judged_only)
+
+
+def check(design: Design) -> Judged:
+    """Forecast the verdict of `clacad.verify` on a design: its checks, with remedies where they fail or warn.
+
+    The checks are those of verify, with fewer rays; a number within 3 % of its limit may be decided otherwise
+    there (`Judged.tight`). `clacad.advise` and `clacad.fix` search for the keys that would make it pass.
+
+    Parameters
+    ----------
+    design : Design
+
+    Returns
+    -------
+    Judged
+        Its `repr` is a short table; `to_frame` has one row a check.
+
+    Raises
+    ------
+    DesignError
+        The design cannot be built.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> judged = clacad.check(clacad.load("slab", ["lattice.count = [3, 3]"]))
+    >>> judged.passes
+    True
+    """
+    judged = judge(design, remedies=True)
+    assert judged.light, "light is traced here, not when the result is first read"
+    return judged

@@ -1,4 +1,4 @@
-"""Lens shapes that keep off-axis light on the law, for offset and tilted pairs.
+"""Lens shapes that keep off-axis light on the law, for offset and tilted pairs; layers that keep white light.
 
 The error of a window at the centre of its field is measured with nine rays: fast enough for the choice.
 """
@@ -8,15 +8,31 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import inf, tan
+from typing import Final
 
 import numpy as np
 
-from clacad.advice.candidate import FORMS, Variant, apertures, built, index_of, powers, undistorted_conic
+from clacad.advice.candidate import (
+    CURVED,
+    FORMS,
+    Variant,
+    apertures,
+    built,
+    index_of,
+    powers,
+    undistorted_conic,
+)
+from clacad.advice.judged import Judged
 from clacad.advice.wish import Wish
+from clacad.base.sobol import sobol
+from clacad.base.text import mrad_text
 from clacad.base.types import Floats
+from clacad.checks.light_kinds import LAW_WHITE
 from clacad.design import Design, DesignError
 from clacad.design.process_profiles import profile
+from clacad.design.sections import LightSpec
 from clacad.light.measure import FIT_SCALE, measure
+from clacad.optics.material.catalogue import find
 from clacad.optics.rays import Rays
 from clacad.optics.sequence import trace_sequence
 from clacad.prescription.prescribe import prescribe
@@ -30,13 +46,9 @@ from clacad.sheet.window import Window
 class CentreErrors:
     """Errors at the centre of the field, and along the axis ray.
 
-    Parameters
-    ----------
-    law, decollimation : float, radians
-        Residual of the recipe along the axis ray (`Window.residual`).
-    eta : float
-        Largest relative error of the change of exit slopes with entry slopes, over the directions of the fit
-        of η.
+    law, decollimation : radians. Residual of the recipe along the axis ray (`Window.residual`).
+    eta : Largest relative error of the change of exit slopes with entry slopes, over the directions of the
+        fit of η.
     """
 
     law: float
@@ -55,11 +67,7 @@ class CentreErrors:
 def centre_errors(window: Window, field: float) -> CentreErrors:
     """Trace the centre of lens 1 at the centre of the field and around it.
 
-    Parameters
-    ----------
-    window : Window
-    field : float, radians
-        Half angle of the cone of test rays; the fit of η takes a tenth.
+    field : radians. Half angle of the cone of test rays; the fit of η takes a tenth.
     """
     left = window.residual
     return CentreErrors(left.get("law", inf), left.get("decollimation", inf), _eta_error(window, field))
@@ -95,6 +103,77 @@ def _change(direction: Floats) -> Floats:
     return np.stack([slope[0] - slope[1], slope[2] - slope[3]], axis=1)
 
 
+RAYS = 4096
+"""Rays of the closed form of the error of one material."""
+
+FLAT: Final = (("N-BK7", "N-SF6"), ("Fused silica", "N-SF6"), ("P-BK7", "P-SF68"))
+"""Outer and inner material of slabs with flat joints, the least error first."""
+
+
+def least_of_one_material(wish: Wish) -> float:
+    """Mean error (radians) over the lines that any faces of the wish's one material leave.
+
+    At the largest separation, in pitches, at which the cone lies in the field of view: there it is least. A
+    ray that enters at x with slope t and meets its partner, |η x + s t| ≤ p/2, turns along each axis by
+    ε |1 − η|/|η| (t − x/f1), ε = (n − n0)/(n0 (n0 − 1)) about the line of median index.
+    """
+    if wish.index is not None:
+        return inf
+    material, lines = find(wish.material), LightSpec().lines
+    index = np.array([float(material.index(wave)) for wave in lines])
+    middle = float(np.sort(index)[len(index) // 2])
+    epsilon = np.abs(index - middle) / (middle * (middle - 1.0))
+    points, eta = sobol(RAYS, 4), np.array(wish.eta)
+    ratio = (1.0 + np.abs(eta).min()) / (2.0 * tan(wish.field))
+    x, turn = points[:, :2] - 0.5, 2.0 * np.pi * points[:, 3]
+    t = (tan(wish.field) * np.sqrt(points[:, 2])[:, None]) * np.column_stack([np.cos(turn), np.sin(turn)])
+    met = (np.abs(eta * x + ratio * t) <= 0.5).all(axis=1)
+    turned = ((1.0 - eta) / eta * (t - x * (1.0 - eta) / ratio))[met]
+    rms = float(np.sqrt((turned**2).sum(axis=1).mean()))
+    return float(np.average(epsilon, weights=list(lines.values()))) * rms
+
+
+def layered(wish: Wish, refused: list[str]) -> Iterator[Variant]:
+    """Slabs of two materials that the process works, the wish's own material outside first."""
+    if not wish.straight or wish.form not in ("any", "slab"):
+        refused.append("layers: made for slabs whose lens axes are the sheet's normal, without offset")
+        return
+    rules = profile(wish.process)
+    curved = CURVED if wish.eta == (-1.0, -1.0) else {}
+    pairs = sorted((*FLAT, *curved), key=lambda pair: pair[0] != wish.material)
+    worked = [pair for pair in pairs if all(rules.works(find(name)) for name in pair)]
+    if not worked:
+        refused.append(
+            f"layers: {wish.process} works none of {', '.join('|'.join(pair) for pair in pairs)} at this eta"
+        )
+    for outer, inner in worked:
+        yield Variant("slab", layers=(outer, inner, outer))
+
+
+def reasons_for_white(wish: Wish, judged: Judged) -> Iterator[str]:
+    """Error of a wish for white light, what one material would leave, and what layers cost."""
+    if wish.white is None:
+        return
+    value = next(check.value for check in judged.checks if check.kind is LAW_WHITE)
+    least = least_of_one_material(wish)
+    yield (
+        f"white light: {mrad_text(float(value or 0.0), 3)} rms, mean of F, e, d and C, of"
+        f" {mrad_text(wish.white, 3)}; one material ({wish.material}) leaves {mrad_text(least, 3)} or more,"
+        " for any faces and any separation with this field"
+    )
+    bodies = judged.window.bodies
+    if len(bodies) < 2:
+        return
+    thick = bodies[-1].back.vertex[2] - bodies[0].front.vertex[2]
+    n = float(find(wish.material).index(wish.wavelength))
+    flat = all(body.front.array is None for body in bodies[1:])
+    yield (
+        f"cost: {len(bodies)} layers, {', '.join(body.material.name for body in bodies if body.material)},"
+        f" cemented along {len(bodies) - 1} {'flat' if flat else 'curved'} joints, {thick:.3g} mm thick"
+        f" (one slab of {wish.material}: {n * judged.window.thin.separation:.3g} mm)"
+    )
+
+
 ENOUGH = 0.9
 """Share of the limits that errors at the centre of the field may use."""
 
@@ -125,12 +204,8 @@ UNEQUAL = 5
 class Work:
     """Count of what a search did, so that it ends at the same design on every machine.
 
-    Parameters
-    ----------
-    most : int
-        The search ends beyond it.
-    done : int
-        In shares of thin lenses (hundredths of a second each).
+    most : The search ends beyond it.
+    done : In shares of thin lenses (hundredths of a second each).
     """
 
     most: int
@@ -159,17 +234,10 @@ class Faults:
 class LensShapes:
     """Forms and shapes for a wish.
 
-    Parameters
-    ----------
-    wish : Wish
-    pitch : float, millimetres
-        Pitch at which they are compared; the result hardly depends on it.
-    overrides : sequence of str
-        "key=value" of the design, as with --set.
-    refused : list of str
-        Receives a sentence for each form that is rejected without tracing.
-    work : Work
-        Counts what is done here.
+    pitch : millimetres. Pitch at which they are compared; the result hardly depends on it.
+    overrides : "key=value" of the design, as with --set.
+    refused : Receives a sentence for each form that is rejected without tracing.
+    work : Counts what is done here.
     """
 
     wish: Wish
@@ -180,6 +248,15 @@ class LensShapes:
 
     def variants(self) -> Iterator[tuple[Variant, float]]:
         """Candidate variants, the best first, each with its least separation in pitches."""
+        white = self.wish.white
+        if white is not None and least_of_one_material(self.wish) > white:
+            self.refused.append(
+                f"one material: faces of {self.wish.material} leave"
+                f" {mrad_text(least_of_one_material(self.wish), 3)} of white light or more, for any faces"
+                " and any separation with this field"
+            )
+            yield from ((one, 0.0) for one in layered(self.wish, self.refused))
+            return
         for aperture in apertures(self.wish):
             for form, curved in FORMS:
                 if self.wish.form in ("any", form):
@@ -201,7 +278,9 @@ class LensShapes:
             sharp = replace(variant, conic=round(-1.0 / index_of(self.wish) ** 2, 4))
             yield sharp
         if max(powers(self.wish)) < 0.0:
-            yield replace(sharp, eye="field lens")
+            conic = sharp.conic  # a field lens undoes half of what keeps oblique light on the law without it
+            halved = variant.form == "plano" and conic is not None
+            yield replace(sharp, eye="field lens", conic=round(0.5 * conic, 3) if halved and conic else conic)
         if profile(self.wish.process).wall == inf and variant.aperture == apertures(self.wish)[0]:
             yield replace(sharp, eye="aimed")
 

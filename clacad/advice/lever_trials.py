@@ -89,14 +89,8 @@ def settings(
 ) -> tuple[Changes, ...]:
     """Trial settings of a lever, nearest to the design's value first.
 
-    Parameters
-    ----------
-    lever : Lever
-    design : Design
-    judged : Judged or None
-        Checks of the design; None where it cannot be built.
-    checks : iterable of Check
-        Checks to mend: a length is also tried at their limits.
+    judged : Checks of the design; None where it cannot be built.
+    checks : Checks to mend: a length is also tried at their limits.
     """
     if lever.way == "aim":
         return _aimed(design)
@@ -191,10 +185,7 @@ def _thicknesses(design: Design, way: str, judged: Judged | None, lack: float) -
     return (*auto, *({PAIR.thickness: pair[0] if same else pair} for pair in sorted(found)))
 
 
-_SCALED: Final = {
-    PAIR.separation: _separations,
-    LATTICE.pitch: _pitches,
-}
+_SCALED: Final = {PAIR.separation: _separations, LATTICE.pitch: _pitches}
 
 
 def _lengths(lever: Lever, design: Design, checks: Iterable[Check]) -> list[float]:
@@ -270,16 +261,10 @@ class NoMoreTrials(Exception):
 class Trials:
     """Tried designs by their changes.
 
-    Parameters
-    ----------
-    design : Design
-        Design before any change.
-    most : int
-        Largest number of trials.
-    progress : callable
-        Called with the stage and the part of the trials made.
-    seconds : float
-        Processor seconds after which no trial is begun.
+    design : Design before any change.
+    most : Largest number of trials.
+    progress : Called with the stage and the part of the trials made.
+    seconds : Processor seconds after which no trial is begun.
     """
 
     design: Design
@@ -292,9 +277,7 @@ class Trials:
     def judged(self, changes: Changes) -> Judged | None:
         """The design with some changed keys, judged; None where it is invalid or cannot be built.
 
-        Raises
-        ------
-        NoMoreTrials
+        Raises NoMoreTrials.
         """
         name = _name(changes)
         if name not in self.made:
@@ -302,7 +285,9 @@ class Trials:
                 raise NoMoreTrials
             self.progress(STAGE, len(self.made) / self.most)
             try:
-                self.made[name] = judge(self.design.replace(changes) if changes else self.design)
+                self.made[name] = judge(
+                    self.design.replace(changes) if changes else self.design, judged_only=True
+                )
             except DesignError:
                 self.made[name] = None
         return self.made[name]

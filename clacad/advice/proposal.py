@@ -13,12 +13,13 @@ from typing import Any
 
 from clacad.advice.candidate import round_to
 from clacad.advice.judged import Judged
-from clacad.advice.lens_shape import Work
+from clacad.advice.lens_shape import Work, least_of_one_material, reasons_for_white
 from clacad.advice.trade_offs import Trade, rows_of, sentences, trade_offs
 from clacad.advice.wish import KEYS, Wish, read_wish, workable_material
 from clacad.advice.wish_search import Search, Tried, returned_share
+from clacad.base.interactive import shown_progress
 from clacad.base.text import percent_text, shown, table
-from clacad.base.types import Progress, silent
+from clacad.base.types import Progress
 from clacad.checks.check import Check
 from clacad.checks.light_kinds import VIEWED
 from clacad.config.edit_text import to_toml
@@ -38,6 +39,12 @@ REASONS = 4
 FARTHER = (16.0, 8.0, 4.0, 2.0, 1.3)
 """Trial distances of the eye over the wished one; sheets are reduced by the same factors."""
 
+WHITER = (6.0, 3.0, 1.5)
+"""Trial limits of the error in white light over the least of one material."""
+
+LAYERED, GLASS = ("moulding", "none"), "P-BK7"
+"""Processes that make layers of glass, and a glass that both work."""
+
 LESS = (0.2, 0.4, 0.7)
 """Trial tilts and offsets over the wished ones."""
 
@@ -49,10 +56,9 @@ def binding(search: Search) -> Iterator[str]:
     yield f"no design was found that passes; {len(search.tried)} were built and judged"
     if search.tried:
         best = min(search.tried, key=lambda t: (len(t.judged.failing), _excess(t)))
-        pair = best.judged.design.pair
         yield (
-            f"  the nearest ({best.variant}, pitch {best.pitch.value:g} mm, separation {pair.separation:g}"
-            " mm):"
+            f"  the nearest ({best.variant}, pitch {best.pitch.value:g} mm, separation"
+            f" {best.separation:g} mm):"
         )
         checks = best.judged.failing or best.judged.tight
         yield from (f"    {_fault(check)}" for check in checks)
@@ -107,6 +113,11 @@ def _warned(one: Tried) -> str:
 def _rows(search: Search) -> Iterator[Iterable[tuple[str, Wish]]]:
     """Rows of more and more demanding wishes near the one that cannot be fulfilled."""
     wish = search.wish
+    if wish.white is not None:
+        for process in LAYERED:
+            yield _changed(wish, [{"process": process, "material": GLASS}])
+        least = least_of_one_material(wish)
+        yield _changed(wish, [{"white": round_to(factor * least, 2)} for factor in WHITER])
     if wish.form != "any":
         yield [("form=any", replace(wish, form="any"))]
     wide = max(wish.size.size)
@@ -240,13 +251,14 @@ class Proposal:
         return (
             f"pitch {one.pitch.value:g} mm: {one.pitch.why}",
             *not_met(self.wish, self.design),
-            f"separation {self.design.pair.separation:g} mm, {one.ratio:g} pitches: the nearest at which"
+            f"separation {one.separation:g} mm, {one.ratio:g} pitches: the nearest at which"
             " the law is kept as sharply as a pixel looks, or as the limits ask",
             *(
                 []
                 if one.variant.conic is None
                 else [f"conic {one.variant.conic:g}: keeps light on the law where it goes off the axis"]
             ),
+            *reasons_for_white(self.wish, self.judged),
             *_for_the_eye(self),
             *sentences(self.wish, self.trades[0]),
             *warnings,
@@ -287,7 +299,7 @@ def design_for(
     name: str = "wish",
     progress: Progress | None = None,
 ) -> Proposal:
-    """Find a design that fulfils a wish and passes verify.
+    """Find a design for a wish, such as a round window of 60 mm for an eye at 400 mm, that passes verify.
 
     Closed formulas give the search range. The proposal was built, traced through one cell and judged by the
     checks and limits of verify. The same wish gives the same design.
@@ -311,9 +323,18 @@ def design_for(
         The wish or an override cannot be read.
     NoSuchSheet
         No tried design passes.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> found = clacad.design_for({"eta": -1, "width": "5 mm", "viewing": "1 m"})
+    >>> found.design
+    Design('wish', slab, eta -1 -1, separation 3.33 mm, 6 x 6 cells)
+    >>> found.judged.passes
+    True
     """
     asked = wish if isinstance(wish, Wish) else read_wish(wish)
-    search = Search(asked, name, tuple(overrides), progress or silent)
+    search = Search(asked, name, tuple(overrides), shown_progress(progress))
     chosen = search.run()
     if chosen is None:
         raise NoSuchSheet("\n".join([*binding(search), *nearest(search)]))

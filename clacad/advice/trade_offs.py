@@ -20,23 +20,14 @@ from clacad.sheet.feasibility.derived_numbers import ARC_MINUTE
 class Trade:
     """One design with its gains and losses. Lengths in millimetres, angles in radians.
 
-    Parameters
-    ----------
-    name : str
-    pitch, separation, height : float
-        Height: of the whole sheet.
-    rms : float
-        Error of the law, traced.
+    pitch, separation, height : Height: of the whole sheet.
+    rms : Error of the law, traced.
     diffraction, pixel : float
         λ over the width of the light returned from one cell, and the pitch, as the viewer sees them.
-    field : float
-        Half angle in which the sheet shows the law.
-    seen : float
-        Width of the sheet in which the viewer sees it.
-    step, sag : float
-        Highest step between neighbours, and greatest height of a lens.
-    verdict : str
-        "passes", or the checks that fail or warn.
+    field : Half angle in which the sheet shows the law.
+    seen : Width of the sheet in which the viewer sees it.
+    step, sag : Highest step between neighbours, and greatest height of a lens.
+    verdict : "passes", or the checks that fail or warn.
     """
 
     name: str
@@ -70,7 +61,7 @@ def trade_offs(wish: Wish, chosen: Judged) -> tuple[Trade, ...]:
         design = _resized(chosen.design, wish, round_to(pitch * p, 3), round_to(separation * s, 3))
         if design is not None:
             try:
-                rows.append(_row(name, wish, judge(design)))
+                rows.append(_row(name, wish, judge(design, judged_only=True)))
             except DesignError:
                 continue
     return tuple(rows)

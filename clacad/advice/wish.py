@@ -71,11 +71,18 @@ KEYS: Final[dict[str, Key]] = {
     ),
     "form": Key(Word(("any", "slab", "plano", "biconvex")), "how a lenslet pair is built", "any"),
     "kind": Key(Word(("square", "hexagonal")), "pattern of the cells", "square"),
+    "white": Key(
+        _CHECK["law_white"].kind,
+        "largest error in white light, the mean over the lines F, e, d and C: white < 0.06 mrad",
+    ),
     "field": Key(
         _CHECK["field"].kind, "half angle of the cone of light in which the law must hold", radians(1.0)
     ),
 }
 """Words of a wish, with reader, meaning and default of each."""
+
+LIMITS: Final = ("white",)
+"""Words whose value is a limit, and may be written with "<"."""
 
 SYNONYMS: Final = {
     "offset": "delta",
@@ -93,6 +100,9 @@ SYNONYMS: Final = {
     "made": "process",
     "border": "flange",
     "n": "index",
+    "colour": "white",
+    "daylight": "white",
+    "law_white": "white",
     "glass": "material",
     "lambda": "wavelength",
     "period": "pitch",
@@ -128,6 +138,8 @@ class Wish:
         Width of the land around the cells.
     holes : int or None
         Number of mounting holes in the flange.
+    white : float or None, radians
+        Largest mean error over the lines of white light; None: it is not judged.
     """
 
     eta: Pair2
@@ -146,6 +158,7 @@ class Wish:
     pitch: float | None = None
     flange: float | None = None
     holes: int | None = None
+    white: float | None = None
 
     @property
     def distance(self) -> float:
@@ -194,24 +207,31 @@ def wavelength_text(metres: float) -> str:
     return text if _PAIR["wavelength"].kind.read(text, UNIT) == metres else f"{metres!r} m"
 
 
-_TEXTS: Final = {"field": angle_text, "wavelength": wavelength_text}
+def mrad_value(radians_: float) -> str:
+    """A small angle as written: in mrad where that is exact."""
+    text = f"{1e3 * radians_:.12g} mrad"
+    return text if _CHECK["law_white"].kind.read(text, UNIT) == radians_ else f"{radians_!r} rad"
+
+
+_TEXTS: Final = {"field": angle_text, "wavelength": wavelength_text, "white": mrad_value}
 """Writers of values with a unit."""
 
 
 def parse_wish(texts: Sequence[str]) -> dict[str, Any]:
     """Words of a wish from texts "KEY=VALUE, KEY=VALUE, …" as with --for; later ones replace earlier ones.
 
-    Values are numbers, [lists] or plain text: ``eta=[-.5, -2], circle=60 mm, process=moulding``.
+    Values are numbers, [lists] or plain text: ``eta=[-.5, -2], circle=60 mm, process=moulding``. A limit
+    may be written with "<": ``white < 0.06 mrad``.
 
-    Raises
-    ------
-    DesignError
-        A part that is not KEY=VALUE.
+    Raises DesignError: A part that is not KEY=VALUE.
     """
     found: dict[str, Any] = {}
     for text in texts:
         for part in re.split(r",(?![^\[]*\])", text):
             key, equals, value = part.partition("=")
+            if key.strip().strip("<").strip() in LIMITS or not equals:
+                key, equals, value = part.replace("<=", "<").replace("=", "<").partition("<")
+                equals = equals if key.strip() in LIMITS else ""
             if not part.strip():
                 continue
             if not equals or not key.strip() or not value.strip():
@@ -237,12 +257,7 @@ def written(text: str) -> Any:
 
 
 def read_word(name: str, value: object) -> Any:
-    """Value of one word of a wish, checked.
-
-    Raises
-    ------
-    DesignError
-    """
+    """Value of one word of a wish, checked. Raises DesignError."""
     try:
         return KEYS[name].kind.read(value, UNIT)
     except Refusal as refusal:
@@ -252,15 +267,8 @@ def read_word(name: str, value: object) -> Any:
 def read_wish(words: Mapping[str, Any]) -> Wish:
     """Read a wish; lengths bare in millimetres or with a unit.
 
-    Parameters
-    ----------
-    words : mapping
-        Some of `KEYS` to what a design file would hold.
-
-    Raises
-    ------
-    DesignError
-        With every mistake.
+    words : Some of `KEYS` to what a design file would hold.
+    Raises DesignError: With every mistake.
     """
     found, mistakes = _converted(words)
     sizes = [name for name in ("width", "circle") if name in words]
@@ -333,6 +341,14 @@ def _broken_rules(found: Mapping[str, Any]) -> list[Mistake]:
 
 def _exclusions(words: Mapping[str, Any], found: Mapping[str, Any]) -> Iterator[Mistake]:
     """Mistakes of words that exclude or require each other."""
+    if "index" in words and "white" in words:
+        yield Mistake(
+            "CL112",
+            "white needs a material: an index alone is known at one wavelength",
+            "white",
+            "--for",
+            allowed="material = a name of the table",
+        )
     if "index" in words and "material" in words:
         yield Mistake(
             "CL112", "index and material exclude each other", "index", "--for", allowed="one of the two"

@@ -69,6 +69,12 @@ class Tried:
     judged: Judged
 
     @property
+    def separation(self) -> float:
+        """Separation of the design, millimetres; of listed faces that of their thin equivalent."""
+        stated = self.judged.design.pair.separation
+        return self.judged.window.thin.separation if stated is None else stated
+
+    @property
     def good(self) -> bool:
         """Whether verify will pass, with room to spare."""
         return self.judged.passes and not self.judged.tight
@@ -78,21 +84,11 @@ class Tried:
 class Search:
     """State of the search for a wish.
 
-    Parameters
-    ----------
-    wish : Wish
-    name : str
-        Of the design.
-    overrides : sequence of str
-        "key=value" that every design keeps, as with --set.
-    progress : callable
-    tried : list of Tried
-    refused : list of str
-        Reasons why other designs could not be built, or had no pitch.
-    work : Work
-        Counts what is done; no design is judged once it is over.
-    first : bool
-        Whether the first design that passes is enough, regardless of its warnings.
+    name : Of the design.
+    overrides : "key=value" that every design keeps, as with --set.
+    refused : Reasons why other designs could not be built, or had no pitch.
+    work : Counts what is done; no design is judged once it is over.
+    first : Whether the first design that passes is enough, regardless of its warnings.
     """
 
     wish: Wish
@@ -252,7 +248,12 @@ class Search:
                 self.refused.append(f"{variant}: {fault} at {ratio:g} pitches")
                 return None
             self.work.done += JUDGEMENT * (1 if window.uniform else UNEQUAL)
-            one = Tried(variant, ratio, PitchBound(_rounded(self.wish, bound), bound.why), judge(design))
+            one = Tried(
+                variant,
+                ratio,
+                PitchBound(_rounded(self.wish, bound), bound.why),
+                judge(design, judged_only=True),
+            )
         except DesignError as problem:
             self.refused.append(f"{variant}: {problem.mistakes[0].message}")
             return None
@@ -297,11 +298,7 @@ def least_untangled(wish: Wish) -> float:
 def impossible(wish: Wish, limit: float) -> list[str]:
     """Reasons by closed forms why no design can fulfil a wish; empty where one may.
 
-    Parameters
-    ----------
-    wish : Wish
-    limit : float
-        Share of the light of a stated eye that must obey the law.
+    limit : Share of the light of a stated eye that must obey the law.
     """
     found = []
     if least_untangled(wish) > RATIOS[-1]:

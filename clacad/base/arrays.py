@@ -37,8 +37,6 @@ def unique_rows(rows: Ints) -> tuple[Ints, Ints]:
     Same result as ``numpy.unique(rows, axis=0, return_inverse=True)``, which compares rows as bytes and takes
     twenty times as long.
 
-    Parameters
-    ----------
     rows : (n, c) ints
     """
     if len(rows):
@@ -59,10 +57,7 @@ def same_rows(words: Words) -> tuple[Ints, Ints]:
 
     Vertices numbered in the order of the facets compress and cache better than sorted ones.
 
-    Parameters
-    ----------
-    words : (n, c)
-        The bits of the rows.
+    words : (n, c). The bits of the rows.
     """
     _, first, kind = np.unique(hashed_rows(words), return_index=True, return_inverse=True)
     if (words[first[kind]] != words).any():
@@ -76,9 +71,7 @@ def same_rows(words: Words) -> tuple[Ints, Ints]:
 def welded(corners: Floats) -> tuple[Floats, Ints]:
     """Merge points (..., 3) that agree in all bits; −0 is 0.
 
-    Returns
-    -------
-    vertices (v, 3), in the order they come, and the vertex number of each point (...)
+    Returns vertices (v, 3), in the order they come, and the vertex number of each point (...).
     """
     points = corners.reshape(-1, 3) + 0.0
     first, number = same_rows(points.view(np.uint64))

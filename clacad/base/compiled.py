@@ -6,8 +6,7 @@ functions are compiled into which, and that differs between the run that compile
 kernels. The last bits of directions would differ, too. Fusing gains nothing measurable and breaks the exact
 products of `clacad.base.pairs`.
 
-Parts of kernels: functions that only compiled code calls, turned into machine code once, within their
-kernel.
+Parts of kernels: functions that only compiled code calls, turned into machine code once, within their kernel.
 
 The usual compiler optimises each function together with all its callees and makes machine code of the whole.
 A walk of six call levels is compiled six times, and only the outermost version ever runs. A part stops at

@@ -20,6 +20,13 @@ def no_formula(text: str) -> str:
     return text.replace("$", r"\$")
 
 
+def inline_svg(text: str) -> str:
+    """Return the <svg> element of a picture, without XML head and metadata, to be put into a page."""
+    text = text[text.index("<svg") :]
+    start, end = text.find("<metadata>"), text.find("</metadata>")
+    return text if start < 0 else text[:start] + text[end + len("</metadata>") :].lstrip()
+
+
 @contextmanager
 def _style(changes: Mapping[str, Any]) -> Iterator[None]:
     """Apply matplotlib's defaults and the changes within the block; no matplotlibrc is read."""
@@ -40,18 +47,12 @@ def drawn(
 ) -> bytes:
     """Draw a figure and return the bytes of its file.
 
-    Parameters
-    ----------
     format : {"svg", "png"}
     size : (width, height), inches
-    draw : callable
-        Draws on the figure it is given.
-    style : mapping
-        Changes to matplotlib's defaults.
-    creator : str or None
-        Program named in the file; None writes no name.
-    placed : bool
-        Whether `draw` positions everything itself; otherwise the layout is found by drawing twice.
+    draw : Draws on the figure it is given.
+    style : Changes to matplotlib's defaults.
+    creator : Program named in the file; None writes no name.
+    placed : Whether `draw` positions everything itself; otherwise the layout is found by drawing twice.
     """
     with _style(style):
         from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -67,13 +67,8 @@ def sources_digest() -> bytes:
 class SealedFiles:
     """Cache files of the compiled signatures of one function.
 
-    Parameters
-    ----------
-    folder : str
-    name : str
-        Prefix of the names of its files.
-    stamp : bytes
-        What compiled code of this function depends on besides its signature.
+    name : Prefix of the names of its files.
+    stamp : bytes. What compiled code of this function depends on besides its signature.
     """
 
     def __init__(self, folder: str, name: str, stamp: bytes) -> None:
@@ -139,10 +134,7 @@ def _trusted(descriptor: int) -> bool:
 class SealedCache(FunctionCache):  # type: ignore[misc]
     """The compiler's cache of one function, stored in sealed files.
 
-    Raises
-    ------
-    RuntimeError
-        No folder can be written to.
+    Raises RuntimeError: No folder can be written to.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:

@@ -32,10 +32,7 @@ _began = 0.0
 def start(stream: TextIO | None = None) -> None:
     """Begin a log.
 
-    Parameters
-    ----------
-    stream : text stream or None
-        Destination of the lines; None is the error stream.
+    stream : text stream or None. Destination of the lines; None is the error stream.
     """
     global _stream, _began  # one process, one error stream
     _stream, _began = stream if stream is not None else sys.stderr, time.monotonic()
@@ -55,11 +52,7 @@ def on() -> bool:
 def note(event: str, **facts: Any) -> None:
     """Write one line; without a log do nothing. Never raise: the log must not interrupt the work.
 
-    Parameters
-    ----------
-    event : str
-    **facts
-        Any JSON value; another object is written as its text.
+    **facts : Any JSON value; another object is written as its text.
     """
     if _stream is None:
         return

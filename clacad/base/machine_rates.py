@@ -50,11 +50,8 @@ Noted = tuple[float, float]
 class Span:
     """A forecast: seconds as a range.
 
-    Parameters
-    ----------
-    low, high : float, processor seconds
-    seen : int
-        Number of recorded runs of this task on this machine.
+    low, high : processor seconds
+    seen : Number of recorded runs of this task on this machine.
     """
 
     low: float
@@ -82,10 +79,7 @@ def total(spans: Sequence[Span]) -> Span:
 class Rates:
     """Recorded run times of tasks on one machine.
 
-    Parameters
-    ----------
-    path : Path or None
-        Cache file; None keeps nothing.
+    path : Cache file; None keeps nothing.
     tasks : mapping of task to a sequence of (modelled, taken) seconds, oldest first
     """
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from clacad.base.arrays import distinct
-from clacad.base.types import Floats
+from clacad.base.types import Bools, Floats
 
 Function = Callable[[Floats], Floats]
 
@@ -27,18 +27,11 @@ _PLATEAU = 1e-8  # a coefficient tail this small that no longer falls is roundin
 def sign_changes(function: Function, noise: float) -> Floats:
     """Find where a function changes sign on the open interval (0, 1).
 
-    Parameters
-    ----------
-    function : (n,) → (n,)
-        Smooth where it is not NaN.
-    noise : float
-        Rounding level of the function: values within ±noise count as zero.
-
-    Returns
-    -------
-    (n,) array, ascending
-        Roots of odd order. A root where the function only touches zero is omitted. A stretch of zeros between
-        opposite signs counts once, at its middle. Zeros at 0 and 1 themselves are omitted.
+    function : (n,) → (n,). Smooth where it is not NaN.
+    noise : Rounding level of the function: values within ±noise count as zero.
+    Returns (n,) array, ascending: Roots of odd order. A root where the function only touches zero is omitted.
+        A stretch of zeros between opposite signs counts once, at its middle. Zeros at 0 and 1 themselves are
+        omitted.
     """
     if _keeps_away(function, noise):
         return np.empty(0)
@@ -118,15 +111,30 @@ def _critical_points(function: Function, low: float, high: float, noise: float, 
 
 
 def _keeps_away(function: Function, noise: float) -> bool:
-    """Whether a resolved interpolant has no zero: its mean exceeds the sum of all its variation."""
-    nodes = _nodes(_DEGREES[0])
-    values = function(0.5 * (nodes + 1.0))
-    if not np.isfinite(values).all():
-        return False
-    coefficients = np.abs(_interpolant(nodes, values))
-    varies, tail = coefficients[1:].sum(), coefficients[-4:].max()
-    resolved = tail <= max(2.0 * noise, 1e-15 * coefficients.max())
-    return bool(resolved and coefficients[0] > varies + 4.0 * (tail + noise))
+    """Whether a function has no sign change that its first interpolant could hide."""
+    return bool(keeps_away(function(resolving_nodes())[None], noise)[0])
+
+
+def resolving_nodes() -> Floats:
+    """Parameters (k,) at which `keeps_away` needs the values of a function."""
+    return np.asarray(0.5 * (_nodes(_DEGREES[0]) + 1.0))
+
+
+def keeps_away(values: Floats, noise: float) -> Bools:
+    """Whether functions surely change no sign on (0, 1), (n,), from their values (n, k) at `resolving_nodes`.
+
+    Either all values are rounding error, or the mean of a resolved interpolant exceeds the sum of all its
+    variation.
+    """
+    known = np.asarray(np.isfinite(values).all(axis=1))
+    transform = _transform(values.shape[1])
+    sums = np.where(known[:, None], values, 0.0) @ transform.T
+    coefficients = np.asarray(np.abs(sums) * (2.0 / values.shape[1]))
+    coefficients[:, 0] *= 0.5
+    varies, tail = coefficients[:, 1:].sum(axis=1), coefficients[:, -4:].max(axis=1)
+    resolved = tail <= np.maximum(2.0 * noise, 1e-15 * coefficients.max(axis=1))
+    away = resolved & (coefficients[:, 0] > varies + 4.0 * (tail + noise))
+    return np.asarray(known & (away | (np.abs(values) <= noise).all(axis=1)))
 
 
 @lru_cache(maxsize=len(_DEGREES))

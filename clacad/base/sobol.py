@@ -29,22 +29,11 @@ _BITS = 52
 def sobol(count: int, dimension: int, skip: int = 1) -> NDArray[np.float64]:
     """First points of the Sobol sequence.
 
-    Parameters
-    ----------
-    count : int
-    dimension : int, 1 to 10
-    skip : int
-        Points left out at the start (1: the origin). Consecutive chunks with rising `skip` continue one
+    dimension : 1 to 10
+    skip : Points left out at the start (1: the origin). Consecutive chunks with rising `skip` continue one
         sequence.
-
-    Returns
-    -------
-    (count, dimension) array in [0, 1)
-
-    Raises
-    ------
-    ValueError
-        Dimension out of range.
+    Returns (count, dimension) array in [0, 1).
+    Raises ValueError: Dimension out of range.
     """
     if not 1 <= dimension <= len(_JOE_KUO) + 1:
         raise ValueError(f"Sobol points are given for 1 to {len(_JOE_KUO) + 1} dimensions, not {dimension}")

@@ -23,16 +23,10 @@ DEEPEST = 64
 def near(word: str, words: Iterable[str], cutoff: float = 0.6, most: int = 1) -> list[str]:
     """Return the words most similar to a given word, the most similar first.
 
-    Parameters
-    ----------
-    word : str
-        Word as written.
-    words : iterable of str
-        Valid words.
-    cutoff : float
-        Least similarity, 0 … 1.
-    most : int
-        Greatest number of words returned.
+    word : Word as written.
+    words : Valid words.
+    cutoff : Least similarity, 0 … 1.
+    most : Greatest number of words returned.
     """
     from difflib import get_close_matches
 
@@ -42,13 +36,8 @@ def near(word: str, words: Iterable[str], cutoff: float = 0.6, most: int = 1) ->
 def did_you_mean(words: Sequence[str], quote: str = "", before: str = "") -> str:
     """Return a question whether one of some words was meant; "" for no words.
 
-    Parameters
-    ----------
-    words : sequence of str
-    quote : str
-        Quotation mark around each word.
-    before : str
-        Text before the question, such as "; ".
+    quote : Quotation mark around each word.
+    before : Text before the question, such as "; ".
     """
     return f"{before}did you mean {' or '.join(f'{quote}{word}{quote}' for word in words)}?" if words else ""
 
@@ -61,14 +50,9 @@ def null(number: float) -> None:
 def plain(value: Any, not_finite: Callable[[float], Any] = null, depth: int = 0) -> Any:
     """Return a value as JSON types: no numpy, no tuples, text keys only; objects of other types stay.
 
-    Parameters
-    ----------
-    value : any
-        Nested mappings, lists, tuples, arrays and scalars.
-    not_finite : callable
-        Returns the replacement of NaN and infinities; default null, `float` leaves them.
-    depth : int
-        Nesting depth of the value; below 64 levels it stays as it is.
+    value : Nested mappings, lists, tuples, arrays and scalars.
+    not_finite : Returns the replacement of NaN and infinities; default null, `float` leaves them.
+    depth : Nesting depth of the value; below 64 levels it stays as it is.
     """
     if depth > DEEPEST:
         return value
@@ -168,6 +152,12 @@ def mrad_list(angles: Iterable[float], count: int = 6) -> str:
     return ", ".join(digits(1e3 * angle, count=count) for angle in angles)
 
 
+def pair_text(two: Sequence[float], count: int = 3) -> str:
+    """Write two numbers with a number of significant digits; one where they are the same: "5", "5, 4"."""
+    x, y = (f"{value + 0.0:.{count}g}" for value in two)
+    return x if x == y else f"{x}, {y}"
+
+
 def percent_text(share: float, count: int = 3, unit: str = " %", *, fixed: bool = False) -> str:
     """Write a share of 1 in percent, with a number of significant (fixed: decimal) digits: "12.5 %"."""
     return f"{100.0 * share:.{count}{'f' if fixed else 'g'}}{unit}"
@@ -233,32 +223,27 @@ def shown(
     relation: str = "<=",
     unit: str = "",
     state: str = "",
+    count: int = DIGITS,
 ) -> Shown:
     """Write a value and its limit with as many digits as the comparison needs.
 
-    Parameters
-    ----------
-    value, limit : float, text or None
+    value, limit : text or None
         None is "–"; an infinite limit is "no limit". Angles in rad are shown in mrad.
-    relation : "<=", "<", ">=", ">" or a word
-        How the value is compared with the limit.
+    relation : "<=", "<", ">=", ">" or a word. How the value is compared with the limit.
     state : "pass", "fail", another, or ""
         Verdict on the value. Where the limit is kept but the state is "fail", the note records it.
-
-    Returns
-    -------
-    Shown
-        The printed numbers fulfil `relation` exactly if value and limit do.
+    count : int. Significant digits, unless more are needed.
+    Returns: The printed numbers fulfil `relation` exactly if value and limit do.
     """
     factor, name = SHOWN_IN.get(unit, (1, unit))
     holds = HOLDS.get(relation)
     if holds is None or not (_finite(value) and _finite(limit)):
-        bound_text = NO_LIMIT if _infinite(limit) else _text(limit, factor, DIGITS)
-        return Shown(_text(value, factor, DIGITS), bound_text, name)
+        bound_text = NO_LIMIT if _infinite(limit) else _text(limit, factor, count)
+        return Shown(_text(value, factor, count), bound_text, name)
     truth = holds(value, limit)
     if 0.0 < abs(value) < NOTHING * abs(limit) and holds(0.0, limit) == truth:  # type: ignore[arg-type]
-        return shown(0, limit, relation, unit, state)
-    tried = ((_text(value, factor, n), _text(limit, factor, n)) for n in range(DIGITS, MOST + 1))
+        return shown(0, limit, relation, unit, state, count)
+    tried = ((_text(value, factor, n), _text(limit, factor, n)) for n in range(count, MOST + 1))
     exact = (_exactly(value, factor), _exactly(limit, factor))
     texts = next((both for both in tried if holds(*map(Decimal, both)) == truth), exact)
     return Shown(*texts, name, {("fail", True): ELSEWHERE, ("pass", False): UNBOUND}.get((state, truth), ""))
@@ -297,10 +282,10 @@ HOLDS: Mapping[str, Callable[[Any, Any], bool]] = {
 """Relation between a value and its limit → comparison function."""
 
 
-def plainly(value: float | str | None, unit: str = "") -> tuple[str, str]:
+def plainly(value: float | str | None, unit: str = "", count: int = DIGITS) -> tuple[str, str]:
     """Write a value that has no limit: its text, and the unit it is shown in."""
     factor, name = SHOWN_IN.get(unit, (1, unit))
-    return _text(value, factor, DIGITS), name
+    return _text(value, factor, count), name
 
 
 def _text(value: float | str | None, factor: int, count: int) -> str:
@@ -321,17 +306,9 @@ _WHOLE = re.compile(rf"-?[0-9]{{1,{MOST_DIGITS}}}", re.ASCII)
 def whole_number(text: str, *, signed: bool = False) -> int | None:
     """Read an integer.
 
-    Parameters
-    ----------
-    text : str
-        Such as "12", without spaces.
-    signed : bool
-        Whether a minus sign is accepted, as in "-5".
-
-    Returns
-    -------
-    int or None
-        None for any other text, for digits other than 0 … 9, and for more than 18 digits.
+    text : Such as "12", without spaces.
+    signed : Whether a minus sign is accepted, as in "-5".
+    Returns: None for any other text, for digits other than 0 … 9, and for more than 18 digits.
 
     Examples
     --------

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final, Literal
 
-Family = Literal["length", "angle", "wavelength", "ratio"]
+Family = Literal["length", "angle", "wavelength", "ratio", "temperature"]
 
 LENGTHS: Final[dict[str, Fraction]] = {
     "nm": Fraction(1, 10**9),
@@ -51,11 +51,15 @@ MILLIMETRE: Final = 1e-3
 
 PERCENT: Final[dict[str, Fraction]] = {"%": Fraction(1, 100)}
 
+KELVIN: Final = "K"
+"""The unit of differences of temperature."""
+
 SHOWN: Final[dict[Family, str]] = {
     "length": "nm um mm cm m in",
     "angle": "deg arcmin arcsec rad mrad urad",
     "wavelength": "nm um mm m",
     "ratio": "%",
+    "temperature": KELVIN,
 }
 """Units of each family as messages list them (without alternative spellings that look the same)."""
 
@@ -68,12 +72,8 @@ _LONGEST = 64
 class Unit:
     """The unit of bare lengths in a design.
 
-    Parameters
-    ----------
-    name : str
-        As written: "mm", or a length such as "100 mm".
-    metres : Fraction
-        Its exact length in metres.
+    name : As written: "mm", or a length such as "100 mm".
+    metres : Its exact length in metres.
     """
 
     name: str
@@ -86,7 +86,7 @@ def family_of(unit: str) -> Family | None:
         return "length"
     if unit in DEGREES or unit in RADIANS:
         return "angle"
-    return "ratio" if unit in PERCENT else None
+    return "ratio" if unit in PERCENT else "temperature" if unit == KELVIN else None
 
 
 def split(text: str) -> tuple[Fraction, str] | None:

@@ -20,7 +20,10 @@ from errno import EFBIG, EINVAL
 from importlib import import_module
 from math import inf
 from types import MappingProxyType, ModuleType
-from typing import Final
+from typing import IO, TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    import numpy as np
 
 KINDS: Final = (
     (stat.S_ISFIFO, "a pipe"),
@@ -35,10 +38,8 @@ KINDS: Final = (
 def require_regular(path: str | os.PathLike[str]) -> None:
     """Refuse a path that names no regular file, without opening it: opening a pipe would block.
 
-    Raises
-    ------
-    OSError
-        The path does not exist, may not be inspected, or names another file type; `strerror` describes it.
+    Raises OSError: The path does not exist, may not be inspected, or names another file type; `strerror`
+        describes it.
     """
     _refuse_other(os.stat(path).st_mode, os.fspath(path))
 
@@ -46,16 +47,8 @@ def require_regular(path: str | os.PathLike[str]) -> None:
 def read_regular(path: str | os.PathLike[str], most: int) -> bytes:
     """Read a whole regular file.
 
-    Parameters
-    ----------
-    path : path
-    most : int
-        Limit in bytes; a larger file is refused unread.
-
-    Raises
-    ------
-    OSError
-        As `require_regular`; errno EFBIG where the file is larger than `most`.
+    most : Limit in bytes; a larger file is refused unread.
+    Raises OSError: As `require_regular`; errno EFBIG where the file is larger than `most`.
     """
     require_regular(path)
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
@@ -82,25 +75,16 @@ GIGABYTE = 1000 * MEGABYTE
 class Budget:
     """Limits of one reader.
 
-    Parameters
-    ----------
-    files : str
-        Files it reads, in words.
-    bytes : int
-        Size of the file; for a packed file also the unpacked size.
-    items : int or None
-        Most items of the kind `item` in one file; None where a library reads the file and counts nothing.
-    item : str
-        Kind of the counted items, in the plural.
-    seconds : float or None
-        Processor seconds that reading any file may take. None where bytes and items limit the time, because
-        the file is read in one go or row by row as it is used.
-    seconds_per_megabyte : float
-        Additional processor seconds per megabyte of the file.
+    files : Files it reads, in words.
+    bytes : Size of the file; for a packed file also the unpacked size.
+    items : Most items of the kind `item` in one file; None where a library reads the file and counts nothing.
+    item : Kind of the counted items, in the plural.
+    seconds : Processor seconds that reading any file may take. None where bytes and items limit the time,
+        because the file is read in one go or row by row as it is used.
+    seconds_per_megabyte : Additional processor seconds per megabyte of the file.
     memory : int or None, bytes
         Address space of the reading process, for a reader that runs in its own process.
-    memory_per_byte : int
-        Additional bytes of address space per byte of the file.
+    memory_per_byte : Additional bytes of address space per byte of the file.
     """
 
     files: str
@@ -132,7 +116,7 @@ BUDGETS: Mapping[str, Budget] = MappingProxyType(
             "binary PLY", 10 * GIGABYTE, 100_000_000, "vertices and facets", 60.0, 0.5, 3 * GIGABYTE, 10
         ),
         "ply-ascii": Budget("ASCII PLY", GIGABYTE, 100_000_000, "numbers", 60.0, 2.0, 3 * GIGABYTE, 30),
-        "glb": Budget("GLB", 4 * GIGABYTE, 60_000_000, "vertices, corners and places"),
+        "glb": Budget("GLB", 4 * GIGABYTE, 500_000_000, "vertices, corners and places"),
         "obj": Budget("OBJ", GIGABYTE, 20_000_000, "vertices, normals and triangles"),
         "step": Budget("STEP, by the CAD kernel", 24 * MEGABYTE, None, "", 120.0, 20.0, 3 * GIGABYTE, 100),
         "step-text": Budget(
@@ -148,6 +132,14 @@ BUDGETS: Mapping[str, Budget] = MappingProxyType(
             "points",
             seconds_per_megabyte=4.0,
         ),
+        "topography": Budget(
+            "height maps of instruments (X3P, SDF, NPY, TIFF, PNG)",
+            GIGABYTE,
+            1 << 27,
+            "points",
+            memory=3 * GIGABYTE,
+            memory_per_byte=40,
+        ),
         "grid-sag": Budget("grid sag (dat)", 200 * MEGABYTE, 4_100_000, "nodes", seconds_per_megabyte=4.0),
         "pose-table": Budget(
             "tables of poses (CSV)", 4 * GIGABYTE, 40_000_000, "lines", seconds_per_megabyte=8.0
@@ -155,7 +147,14 @@ BUDGETS: Mapping[str, Budget] = MappingProxyType(
         "surface-table": Budget("tables of surfaces and heights (JSON)", 64 * MEGABYTE, None, "", None),
         "mask": Budget("masks (SVG, DXF)", GIGABYTE, 20_000_000, "places and points"),
         "gds": Budget(
-            "masks of grey levels (GDSII)", GIGABYTE, 40_000_000, "records", 120.0, 20.0, 3 * GIGABYTE, 100
+            "masks of grey levels (GDSII)",
+            10 * GIGABYTE,
+            1_000_000_000,
+            "records",
+            120.0,
+            20.0,
+            3 * GIGABYTE,
+            100,
         ),
         "prescription": Budget("sequential prescriptions (ZMX)", MEGABYTE, 20_000, "lines"),
         "rays": Budget("rays (npz), unpacked", 80 * GIGABYTE, 1_000_000_000, "rays", None),
@@ -191,3 +190,30 @@ def without_settings(library: str) -> ModuleType:
     if library == "numba":
         module.core.config._config_fname = ""  # numba looks again at each compilation
     return module
+
+
+def array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, Fortran order and type of the array of an .npz archive that follows in the stream.
+
+    Raises ValueError: The stream holds no such header; the message is one line.
+    """
+    import re
+    from tokenize import TokenError
+
+    from numpy.lib import format as npy
+
+    from clacad.base.text import array_lengths, printable
+
+    try:
+        version = npy.read_magic(stream)
+        read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+        shape, fortran, kind = read(stream)
+    except (ValueError, TypeError, SyntaxError, MemoryError, TokenError) as error:
+        said = re.sub(
+            r" on line \d+: <ast\.[^>]*>", "", str(error).partition("\n")[0]
+        )  # an address differs from run to run
+        raise ValueError(printable(said)[:160]) from None
+    lengths = array_lengths(shape)
+    if lengths is None:
+        raise ValueError(f"its shape is {printable(str(shape))[:80]}, not whole numbers >= 0")
+    return lengths, bool(fortran), kind

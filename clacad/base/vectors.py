@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Pair2
 
 
 def doubled_normals(corners: Floats) -> Floats:
@@ -62,3 +62,8 @@ def picture_axes(position: Floats, target: Floats, up: Floats) -> tuple[float, F
     ahead = look / distance
     right = unit(np.cross(ahead, up))
     return distance, right, np.cross(right, ahead)
+
+
+def xy(values: Floats) -> Pair2:
+    """First two components of an array (2,) or longer."""
+    return float(values[0]), float(values[1])

@@ -15,7 +15,8 @@ from importlib import import_module
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal
 
-from clacad.base.text import percent_text, plain
+from clacad.base.interactive import columns_of
+from clacad.base.text import count_text, percent_text, plain, table
 from clacad.checks.levers import Lever
 
 if TYPE_CHECKING:
@@ -39,13 +40,9 @@ class Origin(Enum):
 class LimitSource:
     """Source of a limit.
 
-    origin : Origin
-    what : str
-        Key, name of the profile, or text of what the limit is derived from.
-    basis : str
-        Basis of a process profile.
-    given : bool
-        Whether the design file gives the key; only known after `known_to`.
+    what : Key, name of the profile, or text of what the limit is derived from.
+    basis : Basis of a process profile.
+    given : Whether the design file gives the key; only known after `known_to`.
     """
 
     origin: Origin = Origin.OWN_KEY
@@ -118,6 +115,7 @@ FAMILIES = (
     "clacad.checks.design_kinds",
     "clacad.checks.light_kinds",
     "clacad.checks.file_kinds",
+    "clacad.checks.scan_kinds",
     "clacad.checks.check",
 )
 """Modules that declare kinds of checks, in the order in which stages run their functions."""
@@ -130,27 +128,16 @@ Stage = Literal["cell", "part", "light", "sheet"]
 class CheckKind:
     """A kind of check: all that is known of it before anything is judged.
 
-    Parameters
-    ----------
-    id, code : str
-        Stable name, and stable code; a design may accept a warning by its code.
-    unit : str
-        "" for a count, and for a length, whose unit is that of the design or of the file.
-    relation : "<=", ">=", ">" or "="
-        Relation of value to limit that passes.
-    where : str
-        law, thin, surfaces, geometry, or file.
-    limit : str
-        Key of [check] that gives the limit, or from which it is derived; "" for none.
-    rule : str
-        Source of a limit that no key gives.
-    levers : tuple of Lever
-        Keys that may mend it; those with the least cost to the part come first. Without levers it cannot be
-        mended.
-    former : str
-        Former name; kept in JSON as "alias", and known to `explain`.
-    own_rays : bool
-        Whether `check` traces as many rays for it as `verify`.
+    id, code : Stable name, and stable code; a design may accept a warning by its code.
+    unit : "" for a count, and for a length, whose unit is that of the design or of the file.
+    relation : "<=", ">=", ">" or "=". Relation of value to limit that passes.
+    where : law, thin, surfaces, geometry, or file.
+    limit : Key of [check] that gives the limit, or from which it is derived; "" for none.
+    rule : Source of a limit that no key gives.
+    levers : Keys that may mend it; those with the least cost to the part come first. Without levers it cannot
+        be mended.
+    former : Former name; kept in JSON as "alias", and known to `explain`.
+    own_rays : Whether `check` traces as many rays for it as `verify`.
     means, why, formula, do : str
         Explanation: what is judged, why it matters, what is computed ("" where nothing is), and the remedy.
     """
@@ -320,6 +307,26 @@ class Check:
             "detail": plain(dict(self.detail)),
             **({"alias": self.kind.former} if self.kind.former else {}),
         }
+
+
+def check_columns(checks: Iterable[Check]) -> dict[str, Any]:
+    """Checks as columns by name, one row each."""
+    names = ("id", "subject", "state", "value", "relation", "limit", "unit", "where", "sentence")
+    rows = [{name: getattr(one, name) for name in names} for one in checks]
+    for row in rows:  # the sentence has what is no number
+        row |= {name: None for name in ("value", "limit") if isinstance(row[name], str)}
+    return columns_of(rows)
+
+
+def short_table(checks: Iterable[Check]) -> str:
+    """Rows of text: the number of checks that passed, then each that did not, with its sentence."""
+    checks = tuple(checks)
+    rows = [
+        (one.state, f"{one.id} ({one.subject})" if one.subject else one.id, one.sentence)
+        for one in checks
+        if one.state != "pass"
+    ]
+    return table([("pass", count_text(len(checks) - len(rows), "check")), *rows])
 
 
 RAYS_NEEDED = "rays_needed"

@@ -166,6 +166,14 @@ FILE_LAW_RMS = CheckKind("file_law_rms", "CL349", "rad", where="file", limit="la
     "if the file is only looked at, declare it: --role preview.",
 )
 
+FILE_LAW_WHITE = CheckKind("file_law_white", "CL375", "rad", where="file", limit="law_white").explained(
+    means="Rms angle between light through the file and the requested law in each line of light.spectrum, "
+    "averaged over the lines; only where check.law_white is written.",
+    why="A file may hold the faces of a sheet for daylight.",
+    formula="as law_white, through the file",
+    do="As for file_law_rms and law_white.",
+)
+
 FILE_LAW_BIAS = CheckKind("file_law_bias", "CL356", "rad", where="file", limit="law_bias").explained(
     means="Largest angle, over nine directions of the field, between the mean direction of light through "
     "the file and the law; fails a master, warns a preview.",

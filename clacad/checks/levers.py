@@ -13,7 +13,6 @@ from clacad.design.sections import BODY, LATTICE, PAIR
 class Lever:
     """One key and the direction of its change.
 
-    key : str
     way : "up", "down", "word", "aim" or "shape"
         A shape has no nearest sufficient value: too much is as bad as too little.
     """

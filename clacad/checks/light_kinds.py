@@ -29,6 +29,7 @@ FOUND_BY = {
     ),
     "light": (
         "clacad.verification.light.law_checks:law_checks",
+        "clacad.verification.light.special_checks:white_checks",
         "clacad.verification.light.law_checks:throughput",
         "clacad.verification.light.law_checks:confocality_check",
         "clacad.verification.light.special_checks:field_lens_checks",
@@ -49,6 +50,35 @@ LAW_RMS = CheckKind("law_rms", "CL301", "rad", where="surfaces", limit="law_rms"
     formula="√⟨∠(d', A d)²⟩ over ALIVE rays, A = R M Rᵀ",
     do="A smaller ratio of pitch to separation (aberration falls as its third power), biconic faces, or "
     'confocal = "best".',
+)
+
+LAW_WHITE = CheckKind(
+    "law_white", "CL372", "rad", where="surfaces", limit="law_white", levers=SHARPER
+).explained(
+    means="Rms angle between light and the requested law in each line of `light.spectrum`, averaged over "
+    "the lines with their weights. Judged where check.law_white is written, else reported. The smallest "
+    "value that faces of one material can reach is given next to it.",
+    why="An index holds for one wavelength; daylight has all of them.",
+    formula="Σ w_λ law_rms(λ)/Σ w_λ",
+    do="A material with a larger Abbe number, a smaller p or field; below the floor of one material only "
+    "layers of two materials help (`clacad new --template achromat`).",
+)
+
+COLOUR = CheckKind("colour", "CL373", "rad", where="surfaces").explained(
+    means="Rms change of the exit direction from the design wavelength to each line of `light.spectrum`, "
+    "averaged over the lines; in brackets the closed form of the same rays by paraxial matrices.",
+    why="It is the width of the colour fringes that the sheet adds.",
+    formula="ε (1 − η)/η (t − x/f1) of a slab, ε = Δn/(n (n − 1))",
+    do="As for law_white.",
+)
+
+TEMPERATURE = CheckKind("temperature", "CL374", "rad", where="surfaces", limit="temperature").explained(
+    means="Larger rms change of the exit direction at the design wavelength when the sheet is warmer or "
+    "colder by light.temperature (20 K): by dn/dT, and by the expansion of unlike materials. Judged where "
+    "check.temperature is written, else reported.",
+    why="Plastics change their index by 1e-4 a kelvin, forty times as much as glass.",
+    formula="as colour, with Δn = dn/dT ΔT; the expansion of one material is a scale",
+    do="A glass, or a smaller p or field.",
 )
 
 LAW_BIAS = CheckKind(

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import mrad_text, short_size_text
+from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, Overridden, declared, flag, option, overwrite_option, required
 from clacad.cli.console import Console, table
 from clacad.cli.option_values import BadOption, load_counted, parse_angle, picture_kind, words_of
@@ -76,9 +77,15 @@ def run_accuracy(request: Accuracy, console: Console) -> int:
     _write_plot(request, measured)
     limit = request.target
     files = [] if limit is None else files_within(design, window, measured.floors, limit)
-    console.show(lambda: _document(request, measured, files), lambda: accuracy_text(measured))
-    if limit is not None and not console.json:
-        console.print(target_text(request.design, limit, files))
+    export = f"clacad export {request.design} -o DIR "
+    target = [] if limit is None else [f"cheapest file within {mrad_text(limit, 6)}: {files[0]}"]
+    also = [f"also within it: {one}" for one in files[1:]]
+    commands = [export + one.options for one in files[:1]]
+    console.show(
+        lambda: _document(request, measured, files),
+        lambda: "\n".join([accuracy_text(measured), *target, *(f"  {one}" for one in commands), *also]),
+        lambda: _brief(measured, target, also, commands),
+    )
     return 0
 
 
@@ -87,7 +94,12 @@ def _show_hard(console: Console) -> int:
     from clacad.verification.stability import as_dict, as_text, stability_table
 
     rows = stability_table()
-    console.show(lambda: as_dict(rows), lambda: as_text(rows))
+    wrong = [row for row in rows if not row.holds]
+    word = f"{len(rows) - len(wrong)} of {len(rows)} results within their limits"
+    worst = [(row.name, line) for row, line in zip(wrong, as_text(wrong).split("\n")[1:], strict=False)]
+    console.show(
+        lambda: as_dict(rows), lambda: as_text(rows), lambda: Brief(f"hard cases: {word}", (worst,), (), word)
+    )
     return 0 if all(row.holds for row in rows) else 1
 
 
@@ -101,16 +113,6 @@ def _document(request: Accuracy, measured: AccuracyTable, files: Sequence[FileWi
             "chosen": chosen.to_dict(),
         }
     return document
-
-
-def target_text(path: Path, target: float, files: Sequence[FileWithin]) -> str:
-    """The cheapest file within a target (radians), how to write it, and the others."""
-    first, *rest = files
-    lines = [
-        f"cheapest file within {mrad_text(target, 6)}: {first}",
-        f"  clacad export {path} -o DIR {first.options}",
-    ]
-    return "\n".join(lines + [f"also within it: {one}" for one in rest])
 
 
 def _write_plot(request: Accuracy, measured: AccuracyTable) -> None:
@@ -139,6 +141,8 @@ def accuracy_text(measured: AccuracyTable) -> str:
             "seconds",
             "Mrays/s",
             "prepare s",
+            "write s",
+            "read s",
             "memory",
             "file",
         ]
@@ -150,10 +154,11 @@ def accuracy_text(measured: AccuracyTable) -> str:
         f"{mrad_text(reference['max'], 2, unit='')} max from a {reference['digits']:.0f}-digit trace of "
         f"{reference['rays']:.0f} rays",
         "seconds: processor time of the trace alone, best of 3; prepare s: compiling, tessellating or "
-        "reading, once before the first ray; other fate: share of the rays that end elsewhere than in the "
-        "truth",
+        "reading, once before the first ray; write s, read s: 5 x 5 cells as a file; other fate: share of "
+        "the rays that end elsewhere than in the truth",
         "* no other setting is better in both error and seconds",
         *measured.notes,
+        *([] if measured.spectrum is None else [measured.spectrum.sentence()]),
     ]
     blocks = [
         f"{measured.design}, {measured.rays:,} rays",
@@ -163,6 +168,42 @@ def accuracy_text(measured: AccuracyTable) -> str:
         f"conclusion: {measured.conclusion}",
     ]
     return "\n".join(blocks)
+
+
+def _brief(
+    measured: AccuracyTable, target: Sequence[str], also: Sequence[str], commands: Sequence[str]
+) -> Brief:
+    """The conclusion, the settings that no other beats in error and seconds, the least error of files.
+
+    target, also, commands : The cheapest file within a target, the others, and how to write it.
+    """
+    from clacad.exporting.formats.registry import formats
+
+    front = [["rung", "setting", "error / mrad", "seconds", "prepare s", "file"]]
+    best = sorted(measured.pareto(), key=lambda row: row.model_rms)
+    for row in best[:: -(-len(best) // 6) or 1]:
+        size = "" if row.file_bytes is None else short_size_text(row.file_bytes)
+        error = mrad_text(row.model_rms, 3, unit="")
+        front.append([row.rung, row.setting, error, f"{row.seconds:.3g}", f"{row.prepare_s:.2g}", size])
+    common = {one.word for one in formats() if one.at_a_glance is not None}
+    floors = []
+    for one in reversed(measured.floors):
+        words = [word for word in one.formats.split(", ") if word in common]
+        if words:
+            floor = one.floor
+            least = (
+                [] if floor is None else [f"{one.normals} normals: no less than {mrad_text(floor, 2)} rms"]
+            )
+            floors.append([", ".join(words), *least, one.note])
+    head = f"{measured.design}, {measured.rays:,} rays: {measured.headline}"
+    white = [] if measured.spectrum is None else [("white", measured.spectrum.sentence())]
+    files = [("file", f"  {text}") for text in (*target, *also)]
+    return Brief(
+        head,
+        (facts(front), facts(floors), files, white),
+        tuple(commands),
+        target[0] if target else measured.headline,
+    )
 
 
 def floors_text(floors: Sequence[Floor]) -> str:
@@ -202,6 +243,7 @@ def _line(row: AccuracyRow, on_front: bool) -> list[str]:
         f"{row.seconds:.3g}",
         f"{row.rays_per_s / 1e6:.3g}",
         f"{row.prepare_s:.2g}",
+        *("" if taken is None else f"{taken:.2g}" for taken in (row.write_s, row.read_s)),
         short_size_text(row.memory),
         "" if row.file_bytes is None else short_size_text(row.file_bytes),
     ]

@@ -26,6 +26,7 @@ class Common:
 
     json: bool = flag("--json", "Result on stdout as JSON, everything else on stderr.")
     quiet: bool = flag("-q, --quiet", "Errors only.")
+    all: bool = flag("--all", "Print every number and every check that passes, not only 24 lines.")
     verbose: bool = flag(
         "-v, --verbose", "Log every step on stderr, one JSON object a line, with tracebacks."
     )
@@ -69,11 +70,9 @@ class Given:
     def request(self, request: type) -> Any:
         """The request.
 
-        Raises
-        ------
-        BadUsage
-            A required one is missing, a value has the wrong type or range, or a word is left over.
-        BadOption
+        Raises BadUsage: A required one is missing, a value has the wrong type or range, or a word is left
+            over.
+        Raises BadOption.
         """
         words, values = list(self.words), {}
         for one in parameters(request):
@@ -132,19 +131,9 @@ def scan(
 ) -> Given:
     """Sort the words of the command line into options and others.
 
-    Parameters
-    ----------
-    known : sequence of CommandParameter
-    given : sequence of str
-    word : str
-        The command, for messages.
-    up_to_word : bool
-        Whether to end at the first word that is no option.
-
-    Raises
-    ------
-    BadUsage
-        An unknown option, one without its value, or a switch with a value.
+    word : The command, for messages.
+    up_to_word : Whether to end at the first word that is no option.
+    Raises BadUsage: An unknown option, one without its value, or a switch with a value.
     """
     flags = {flag: (one, True) for one in known for flag in one.flags}
     flags |= {flag: (one, False) for one in known for flag in one.opposites}

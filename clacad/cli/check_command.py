@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
-from math import atan, degrees
+from math import acos, atan, degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.text import percent_text, short_size_text
+from clacad.base.text import mrad_text, pair_text, percent_text, short_size_text, span_text
+from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option, required
 from clacad.cli.console import Console, show_text, table
-from clacad.cli.option_values import BadOption, load_counted, load_design
+from clacad.cli.option_values import BadOption, cell_option, load_counted, load_design, of_cell
 
 if TYPE_CHECKING:
     from clacad.advice import Advice, Fixed, Judged
@@ -50,8 +51,11 @@ def run_check(request: CheckDesign, console: Console) -> int:
     forecast = outlook(judged.window, judged.design if printed else None)
     if console.json:
         console.show(lambda: _document(judged, forecast, _advised(judged, console)), str)
-    elif not console.quiet:
+    elif console.all and not console.quiet:
         _show(judged, forecast, console)
+    elif not console.quiet:
+        advice = _advised(judged, console)
+        console.show(dict, str, lambda: _brief(judged, forecast, advice, request.design))
     if judged.passes and all(row["refused"] for row in forecast):
         raise LimitRefused(str(forecast[0]["refused"]))
     return 0 if judged.passes else 1
@@ -80,35 +84,117 @@ def _show(judged: Judged, forecast: list[dict[str, Any]], console: Console) -> N
 
     show_text(check_text(judged.design.name, describe(judged.window, judged.facts), judged.checks, forecast))
     advice = advice_text(_advised(judged, console))
-    show_text(f"{advice}\n{verdict(judged)}".lstrip("\n"))
+    show_text(f"{advice}\n{judged.verdict()}".lstrip("\n"))
+
+
+def _brief(judged: Judged, forecast: list[dict[str, Any]], advice: Advice, path: Path) -> Brief:
+    """Sheet, law, light, lenses and files in a line each; failures and warnings with what mends them."""
+    from clacad.cli.tables import counted, problems
+
+    design, word = judged.design, judged.verdict()
+    rows = [
+        ("sheet", _sheet(judged)),
+        ("law", _law(judged)),
+        ("light", _light(judged)),
+        ("lenses", _lenses(judged)),
+        ("files", "; ".join(map(_file, forecast))),
+    ]
+    free = [] if advice.sharper is None else [("free", f"  free     {advice.sharper}")]
+    following = f"clacad check {path} --fix -o {path.stem}-fixed.toml"
+    if judged.passes:
+        following = f"clacad export {path} -o exports/{path.stem} --format step"
+    return Brief(
+        f"{design.name}: {word}",
+        (facts(rows), [*problems(judged.checks, advice.of), *free]),
+        (following,),
+        word,
+        counted(judged.checks),
+    )
+
+
+def _sheet(judged: Judged) -> str:
+    """Form, material, cells, size."""
+    from clacad.sheet.feasibility.as_rows import cells_text
+    from clacad.sheet.volume_and_extent import whole_extent
+
+    design, bodies = judged.design, judged.facts.bodies
+    x0, x1, y0, y1 = whole_extent(judged.window)
+    height = max(body.high for body in bodies) - min(body.low for body in bodies)
+    size = " x ".join(f"{length:.4g}" for length in (x1 - x0, y1 - y0, height))
+    cells = f"{cells_text(judged.window.lattice)} {judged.window.lattice.kind} cells"
+    pitch = pair_text(judged.window.lattice.pitch)
+    material = design.pair.material
+    return ", ".join(
+        [
+            design.pair.form,
+            *([material] if material else []),
+            f"{cells} of {pitch} {design.unit}",
+            f"{size} {design.unit}",
+        ]
+    )
+
+
+def _law(judged: Judged) -> str:
+    """Law, and errors of the light with their limits."""
+    from clacad.checks.light_kinds import LAW_BIAS, LAW_RMS, LAW_WHITE
+
+    given, errors = judged.design.to_dict()["law"], []
+    for kind, name in ((LAW_RMS, "rms"), (LAW_BIAS, "bias")):
+        check = kind.first(judged.checks)
+        if check is not None and isinstance(check.value, float) and isinstance(check.limit, float):
+            limit = mrad_text(check.limit, 3, unit="")
+            cell = "" if "cell" not in check.detail else " in cell ({}, {})".format(*check.detail["cell"])
+            errors.append(f"{name} {mrad_text(check.value, 3)} (limit {limit}){cell}")
+    white = LAW_WHITE.first(judged.checks)
+    if white is not None and isinstance(white.value, float):
+        errors.append(f"in white light {mrad_text(white.value, 3)}")
+    return "; ".join([*(f"{name} {pair_text(given[name])}" for name in ("eta", "delta")), *errors])
+
+
+def _light(judged: Judged) -> str:
+    """Shares of light to the partner, field of view and first ghosts."""
+    from clacad.checks.light_kinds import THROUGHPUT
+
+    check, numbers = THROUGHPUT.first(judged.checks), judged.facts
+    shares = (
+        []
+        if check is None or "mean" not in check.detail
+        else [
+            f"{percent_text(check.detail['middle'])} to the partner in the middle of the field,"
+            f" {percent_text(check.detail['mean'])} over it"
+        ]
+    )
+    field, ghosts = (
+        pair_text([degrees(atan(slope)) for slope in two])
+        for two in (numbers.half_field, numbers.ghost_onset)
+    )
+    return "; ".join([*shares, f"half field {field} deg, ghosts from {ghosts} deg"])
+
+
+def _lenses(judged: Judged) -> str:
+    """Radii, sag, steepest slope and edge; the process."""
+    lens, unit, process = judged.facts.lenses[0], judged.design.unit, judged.design.check.process
+    parts = [
+        f"radius {pair_text(lens.radius)} {unit}",
+        f"sag {lens.sag:.3g} {unit}",
+        f"slope {degrees(acos(min(1.0, lens.least_normal_z))):.3g} deg",
+        f"edge {min(body.edge for body in judged.facts.bodies):.3g} {unit}",
+    ]
+    return ", ".join(parts) + (f"; process {process}" if process else "")
+
+
+def _file(row: dict[str, Any]) -> str:
+    """Format, role, size and seconds of a file of a forecast."""
+    if row["refused"]:
+        return f"{row['format']} refused"
+    role = str(row.get("role", "")).replace("-", " ")
+    grid = f"{row['quads']} quads" if row["quads"] is not None else ""
+    words = (row["format"], role, grid, short_size_text(row["bytes"]), f"in {span_text(*row['seconds'])}")
+    return " ".join(filter(None, words))
 
 
 def _document(judged: Judged, forecast: list[dict[str, Any]], advice: Advice) -> dict[str, Any]:
-    from clacad.sheet.feasibility import describe
-
-    return {
-        "design": judged.design.name,
-        "derived": [list(row) for row in describe(judged.window, judged.facts)],
-        "recipe": dict(judged.window.recipe),
-        "residual": dict(judged.window.residual),
-        "checks": [check.to_dict() for check in judged.checks],
-        "forecast": forecast,
-        "passed": judged.passes,
-        "verdict": verdict(judged),
-        "advice": advice.to_dict(),
-    }
-
-
-def verdict(judged: Judged) -> str:
-    """Forecast of the verdict of verify in one line."""
-    if not judged.passes:
-        return f"verify will fail: {', '.join(dict.fromkeys(c.id for c in judged.failing))}"
-    notes = []
-    if judged.warning:
-        notes.append(f"warning of {', '.join(dict.fromkeys(c.id for c in judged.warning))}")
-    if judged.tight:
-        notes.append(f"{', '.join(dict.fromkeys(c.id for c in judged.tight))} at the very limit")
-    return "verify will pass" + (f", {'; '.join(notes)}" if notes else "")
+    return judged.to_dict() | {"forecast": forecast, "advice": advice.to_dict()}
 
 
 def _fix(request: CheckDesign, console: Console) -> int:
@@ -170,7 +256,19 @@ def _show_fixed(fixed: Fixed, written: Path | None, console: Console) -> int:
     if written is not None:
         blocks.append(f"wrote {written}\nnext: clacad export {written} -o exports --format step")
     path = None if written is None else str(written)
-    console.show(lambda: {"design": name, **fixed.to_dict(), "written": path}, lambda: "\n".join(blocks))
+
+    def brief() -> Brief:
+        from clacad.cli.tables import problems
+
+        rows = [facts(fixed.rows()), [] if fixed.judged is None else problems(fixed.judged.checks)]
+        following = () if path is None else (f"clacad export {path} -o exports --format step",)
+        word = str(fixed)
+        made = [("file", f"  wrote {path}")] if path is not None else []
+        return Brief(f"{name}: {word}", (*rows, made), following, word)
+
+    console.show(
+        lambda: {"design": name, **fixed.to_dict(), "written": path}, lambda: "\n".join(blocks), brief
+    )
     return 0 if fixed.passes else 1
 
 
@@ -179,6 +277,7 @@ class Explore(OfDesign):
     """One page with sliders: the view through the sheet, live, its verdict, and the design file they make."""
 
     out: Path = required("-o, --out FILE", "The page: one .html file.")
+    cell: tuple[int, int] | None = cell_option()
     dry_run: bool = dry_run_option("Print what the page would be and cost; write nothing.")
     overwrite: bool = overwrite_option()
 
@@ -186,6 +285,7 @@ class Explore(OfDesign):
 def run_explore(request: Explore, console: Console) -> int:
     """Write the page, or with --dry-run forecast it; print its first verdict and what it leaves out."""
     design = load_counted(request.design, request.set)  # refuses before a module is loaded that makes pages
+    design = of_cell(design, request.cell)
     from clacad.explorer.write_page import SECONDS, explore
 
     with console.forecast("explore", SECONDS):

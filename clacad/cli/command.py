@@ -26,16 +26,10 @@ GROUPS = ("make", "look", "judge", "help")
 class Command:
     """One command.
 
-    Parameters
-    ----------
-    word : str
-        Word by which it is called.
-    group : str
-        Purpose under which the help lists it, one of `GROUPS`.
-    request : type
-        Frozen dataclass of its arguments and options; the docstring is the help sentence.
-    run : callable
-        Function of a request and a console that returns the exit status.
+    word : Word by which it is called.
+    group : Purpose under which the help lists it, one of `GROUPS`.
+    request : Frozen dataclass of its arguments and options; the docstring is the help sentence.
+    run : Function of a request and a console that returns the exit status.
     """
 
     word: str
@@ -76,17 +70,10 @@ def option(
 ) -> Any:
     """Field of a request: an option, or an argument if the form has no flag.
 
-    Parameters
-    ----------
-    form : str
-        As the help shows it: "-o, --out DIR", "--dry-run", "--movies/--no-movies", "DESIGN", "DESIGN...".
-    help : str
-    default : object
-        Value where it is not given; `dataclasses.MISSING` where one is required.
-    least, most : int or None
-        Range of a number.
-    read : callable or None
-        Reader of the text in place of the type's own.
+    form : As the help shows it: "-o, --out DIR", "--dry-run", "--movies/--no-movies", "DESIGN", "DESIGN...".
+    default : Value where it is not given; `dataclasses.MISSING` where one is required.
+    least, most : Range of a number.
+    read : Reader of the text in place of the type's own.
     """
     declaration = {"form": form, "help": help, "least": least, "most": most, "read": read}
     return field(default=default, metadata=declaration)
@@ -146,20 +133,12 @@ class OfDesign(Overridden):
 class CommandParameter:
     """Argument or option as the parser and the help need it.
 
-    Parameters
-    ----------
-    name : str
-        Field of the request.
-    kind : str
-        Type of one value: "bool", "int", "float", "str" or "Path".
-    several : bool
-        Whether it may be given repeatedly.
-    flags, opposites : tuple of str
-        Flags that give the option, and those that switch it off; none of an argument.
-    metavar : str
-        Placeholder of the value; "" for a switch.
-    default, help, least, most, read
-        As in `option`.
+    name : Field of the request.
+    kind : Type of one value: "bool", "int", "float", "str" or "Path".
+    several : Whether it may be given repeatedly.
+    flags, opposites : Flags that give the option, and those that switch it off; none of an argument.
+    metavar : Placeholder of the value; "" for a switch.
+    default, help, least, most, read : As in `option`.
     """
 
     name: str

@@ -107,10 +107,7 @@ def install_completion() -> str:
 def _shell() -> str:
     """Name of the shell that started the program, or of the user's own.
 
-    Raises
-    ------
-    BadOption
-        A shell without a script.
+    Raises BadOption: A shell without a script.
     """
     names = ["powershell"] if os.name == "nt" else [Path(os.environ.get("SHELL", "")).name]
     with suppress(OSError):  # there is no such file but on Linux

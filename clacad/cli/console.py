@@ -1,4 +1,4 @@
-"""Output of the commands: results on stdout, messages on stderr, progress after a second."""
+"""Output of the commands: results on stdout, messages on stderr, progress of a wait."""
 
 from __future__ import annotations
 
@@ -18,29 +18,34 @@ from clacad.base import log
 from clacad.base.machine_rates import Clock, Rates, Span, processor_seconds, processor_seconds_now
 from clacad.base.text import plain, printable_lines, span_text
 from clacad.base.text import table as table
+from clacad.cli.brief import Brief, clipped
 
 
 @dataclass(frozen=True)
 class Console:
     """Output of one command.
 
-    Parameters
-    ----------
-    json : bool
-        Whether results are JSON.
-    quiet : bool
-        Whether only errors are printed, and JSON.
+    json : Whether results are JSON.
+    quiet : Whether only errors are printed, and JSON.
+    all : Whether results are printed whole, not within `brief.LINES` lines.
     """
 
     json: bool = False
     quiet: bool = False
+    all: bool = False
 
-    def show(self, document: Callable[[], Any], text: Callable[[], str]) -> None:
-        """Print a result: one JSON document, or its text."""
+    def show(
+        self, document: Callable[[], Any], text: Callable[[], str], brief: Callable[[], Brief] | None = None
+    ) -> None:
+        """Print a result: one JSON document, its text, or its most important lines (default: the first)."""
         if self.json:
             show_json(document())
-        elif not self.quiet:
+        elif self.quiet:
+            return
+        elif self.all:
             show_text(text())
+        else:
+            show_text(str(brief()) if brief is not None else clipped(text()))
 
     def print(self, text: str) -> None:
         """Print text on stdout unless quiet."""
@@ -67,15 +72,10 @@ class Console:
 
         A run in which kernels were compiled is not recorded: the next one will be faster.
 
-        Parameters
-        ----------
-        task : str
-            Name under which it is recorded.
-        modelled : float or Span
-            Seconds by the model of the reference machine; or a range measured on a part of the work, which is
-            corrected by earlier runs of the same task.
-        clock : callable
-            Processor seconds so far.
+        task : Name under which it is recorded.
+        modelled : Seconds by the model of the reference machine; or a range measured on a part of the work,
+            which is corrected by earlier runs of the same task.
+        clock : Processor seconds so far.
         """
         rates = Rates.here()
         middle = modelled.middle if isinstance(modelled, Span) else modelled
@@ -170,7 +170,10 @@ def _is_unicode(encoding: str | None) -> bool:
 # -- progress ------------------------------------------------------------------------------------------------
 
 
-AGAIN, AGAIN_IN_LOG = 1.0, 30.0
+AFTER, AFTER_IN_LOG = 1.0, 5.0
+"""Seconds of silence before the first stage is printed: on a terminal, and elsewhere."""
+
+AGAIN, AGAIN_IN_LOG = 1.0, 600.0
 """Seconds after which the current stage is printed again: on a terminal, and elsewhere, on a new line."""
 
 ENOUGH = 0.5
@@ -180,27 +183,27 @@ ENOUGH = 0.5
 class Progress:
     """One line on stderr with the current stage and its share of completion.
 
-    Silent for the first second, and when quiet; then the current stage is printed repeatedly, even if it
+    Silent for the first seconds, and when quiet; then the current stage is printed repeatedly, even if it
     reports nothing. The remaining time is the forecast's processor seconds at the rate of this run. On
-    a terminal the line is rewritten; elsewhere every stage gets one line. Call it as a function:
+    a terminal the line is rewritten; elsewhere a long wait gets one line. Call it as a function:
     progress(stage, fraction), fraction None or NaN where unknown.
     """
 
-    def __init__(self, *, quiet: bool = False, after: float = 1.0) -> None:
+    def __init__(self, *, quiet: bool = False, after: float | None = None) -> None:
         self._start = time.monotonic()
-        self._after = after
+        self._terminal = sys.stderr.isatty()
+        self._after = (AFTER if self._terminal else AFTER_IN_LOG) if after is None else after
         self._quiet = quiet
         self._stage = ""
         self._stage_start = self._start
         self._shown = 0.0
         self._open = False
-        self._terminal = sys.stderr.isatty()
         self._expected = 0.0
         self._expected_from = self._start, 0.0
         self._lock = threading.RLock()
         self._next: threading.Timer | None = None
         if not quiet and not log.on():
-            self._show_again_in(after)
+            self._show_again_in(self._after)
 
     def expect(self, seconds: float) -> None:
         """Set the forecast of the whole remaining work, processor seconds."""
@@ -246,7 +249,7 @@ class Progress:
 
     def _show(self, stage: str, fraction: float | None, now: float, *, fresh: bool) -> None:
         if not self._terminal:
-            if fresh or not self._shown:
+            if not self._shown or now - self._shown >= AGAIN_IN_LOG:
                 sys.stderr.write(f"{stage} ...{self._left(now)}\n")
                 self._shown = now
             return

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.base.text import short_size_text
+from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, commands, flag, option
 from clacad.cli.console import Console, show_json, table
 
@@ -31,7 +32,9 @@ def explain(request: Explain, console: Console) -> int:
     own = _command_entries()
     if request.code is None:
         known = list(entries(own).values())
-        console.show(lambda: [asdict(entry) for entry in known], lambda: _list_text(known))
+        console.show(
+            lambda: [asdict(entry) for entry in known], lambda: _list_text(known), lambda: _list_brief(known)
+        )
     else:
         entry = look_up(request.code, own)
         console.show(lambda: asdict(entry), lambda: _entry_text(entry))
@@ -43,13 +46,35 @@ def _command_entries() -> list[Entry]:
     from clacad.explain.design_mistakes import Entry
 
     return [
-        Entry("", one.word, f"command {one.word}", one.sentence, "", "", f"see clacad {one.word} --help")
+        Entry(
+            "",
+            one.word,
+            f"command {one.word}",
+            one.sentence,
+            "",
+            "",
+            f"see clacad {one.word} --help",
+            "command",
+        )
         for one in commands()
     ]
 
 
 def _list_text(known: Sequence[Entry]) -> str:
     return table([[e.code or "word", e.title, e.name if e.code else ""] for e in known], indent="")
+
+
+def _list_brief(known: Sequence[Entry]) -> Brief:
+    """Names of each kind of entry: codes of mistakes, checks, words, materials and others."""
+    groups: dict[str, list[str]] = {}
+    for entry in known:
+        groups.setdefault(entry.kind, []).append(entry.name.removeprefix(f"{entry.kind} ") or entry.code)
+    rows = [
+        (f"{kind}{'es' if kind[-1] == 's' else 's'}", str(len(names)), ", ".join(names))
+        for kind, names in groups.items()
+    ]
+    head = f"clacad explain NAME explains one of {len(known)} names"
+    return Brief(head, (facts(rows),))
 
 
 def _entry_text(entry: Entry) -> str:
@@ -79,8 +104,26 @@ def doctor(request: Doctor, console: Console) -> int:
     console.show(
         lambda: {"format": 1, "passed": passed, "findings": [finding.to_dict() for finding in findings]},
         lambda: _findings_text(findings),
+        lambda: _findings_brief(findings),
     )
     return 0 if passed else 1
+
+
+def _verdict(findings: Sequence[Diagnosis]) -> str:
+    failed = [finding.name for finding in findings if finding.state == "fail"]
+    return f"FAIL: {', '.join(failed)}" if failed else "everything clacad needs is here"
+
+
+def _findings_brief(findings: Sequence[Diagnosis]) -> Brief:
+    """The verdict; what fails, warns or is absent."""
+    word = _verdict(findings)
+    wrong = sorted(
+        (one for one in findings if one.state != "ok"),
+        key=lambda one: ("fail", "warn", "absent").index(one.state),
+    )
+    rows = ((one.name, MARKS[one.state], one.sentence) for one in wrong)
+    good = f"{word}: {len(findings) - len(wrong)} of {len(findings)} findings are ok"
+    return Brief(word, (facts(rows),), (), good)
 
 
 def _findings_text(findings: Sequence[Diagnosis]) -> str:
@@ -89,9 +132,8 @@ def _findings_text(findings: Sequence[Diagnosis]) -> str:
     for finding in findings:
         row = [MARKS[finding.state], finding.name, _value_text(finding), finding.sentence]
         topics.setdefault(finding.topic, []).append(row)
-    failed = [finding.name for finding in findings if finding.state == "fail"]
-    verdict = f"FAIL: {', '.join(failed)}" if failed else "everything clacad needs is here"
-    return "\n".join([*(f"{topic}\n{table(rows)}" for topic, rows in topics.items()), verdict])
+    blocks = (f"{topic}\n{table(rows)}" for topic, rows in topics.items())
+    return "\n".join([*blocks, _verdict(findings)])
 
 
 def _value_text(finding: Diagnosis) -> str:

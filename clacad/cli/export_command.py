@@ -7,7 +7,8 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from clacad.base.text import mrad_text, whole_number
+from clacad.base.text import count_text, mrad_text, short_size_text, whole_number
+from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, declared, dry_run_option, option, required
 from clacad.cli.console import Console, Progress, say
 from clacad.cli.option_values import (
@@ -16,6 +17,7 @@ from clacad.cli.option_values import (
     one_of,
     parse_angle,
     parse_bevel,
+    parse_cell,
     parse_cells,
     parse_slope_error,
     per_format,
@@ -24,6 +26,7 @@ from clacad.cli.option_values import (
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.exporting.manifest import Manifest
     from clacad.exporting.request import Request
 
 
@@ -39,6 +42,7 @@ class Export(OfDesign):
     step: str = declared("step")
     fused: bool = declared("fused")
     cells: tuple[int, int] | None = declared("cells", read=parse_cells)
+    cell: tuple[int, int] | None = declared("cell", read=parse_cell)
     overwrite: bool = declared("overwrite")
     force: bool = declared("force")
     dry_run: bool = dry_run_option()
@@ -113,12 +117,29 @@ def _export(given: Export, design: Design, request: Request, console: Console) -
         window = prescribe(_cut(design, request))
         derived = derived_text(describe(window, feasibility(window, *design.viewing_places)))
         files = files_text(manifest.files, design.check.of_light[0])
-        return f"{design.name}\n{derived}\nfiles in {manifest.folder}\n{files}"
+        return f"{design.name}\n{derived}\nfiles in {manifest.folder}\n{files}\nnext: {following}"
 
-    console.show(lambda: dict(manifest.document), text)
-    if not console.json:
-        console.say(f"next: clacad verify {given.design} --files {given.out} -o {given.out / 'report'}")
+    following = f"clacad verify {given.design} --files {given.out} -o {given.out / 'report'}"
+    console.show(lambda: dict(manifest.document), text, lambda: _brief(design, manifest, following))
     return 0
+
+
+def _brief(design: Design, manifest: Manifest, following: str) -> Brief:
+    """One line a file: size, role, light of its limit."""
+    limit, files = design.check.of_light[0], list(manifest.files)
+    rows = []
+    for entry in files:
+        role = str(entry.get("role", "")).replace("-", " ") + " (declared)" * bool(entry.get("role_declared"))
+        rms = entry.get("forecast_law_rms")
+        light = "" if rms is None else f"light {mrad_text(rms, 3, unit='')} of {mrad_text(limit, 3)} rms"
+        missing = len(entry.get("left_out", ()))
+        left_out = f"does not hold {count_text(missing, 'thing')} of the design" if missing else ""
+        rows.append(
+            (entry["name"], short_size_text(entry["bytes"]), role, "; ".join(filter(None, (light, left_out))))
+        )
+    size = short_size_text(sum(entry["bytes"] for entry in files))
+    head = f"{design.name}: wrote {count_text(len(files), 'file')} ({size}) in {manifest.folder}"
+    return Brief(head, (facts(rows),), (following,))
 
 
 def _announce(design: Design, request: Request, progress: Progress, console: Console) -> None:
@@ -235,20 +256,16 @@ def _export_scene(given: Export, console: Console) -> int:
     from clacad.exporting.pov.pov_scene import write_pov
     from clacad.paper.make_atlas import manifest_of
     from clacad.prescription.prescribe import prescribe
+    from clacad.rendering.sheet_passage import stack_of
     from clacad.scene import load_scene
     from clacad.storage.atomic import Stage, safe_name
-    from clacad.storage.errors import NotPossible
 
     scene, out = load_scene(given.design, given.set), given.out
-    if len(scene.sheets) > 1:
-        raise NotPossible(
-            f"{given.design}: POV-Ray scenes hold one sheet, and this one has {len(scene.sheets)}; `clacad "
-            "stack` writes their assembly, `clacad render` their picture"
-        )
     still = scene.at(0) if scene.animation is not None else scene
     with Stage(out, overwrite=given.overwrite) as stage:
         name = f"{safe_name(still.name)}.pov"
-        write_pov(prescribe(still.design()), stage.path(name), still)
+        sheets = stack_of(still) if len(still.sheets) > 1 else prescribe(still.design())
+        write_pov(sheets, stage.path(name), still)
         stage.publish(manifest_of(stage, "scene"))
     width, height = still.camera.pixels
     console.show(

@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.machine_rates import processor_seconds
 from clacad.base.text import mrad_text, percent_text
+from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, dry_run_option, option, overwrite_option
 from clacad.cli.console import Console, table
 from clacad.cli.option_values import BadOption, load_counted, picture_kind, read_length, words_of
 
 if TYPE_CHECKING:
+    from clacad.design import Design
     from clacad.imaging import Image
     from clacad.imaging.best_point import BestPoint
     from clacad.imaging.image_by_rays import Middle
@@ -70,7 +72,11 @@ def run(request: ImagePoint, console: Console) -> int:
 
         plot = plot_svg if kind == "svg" else plot_png
         write_content(request.out, plot(found, design.name, design.unit), overwrite=request.overwrite)
-    console.show(lambda: found.to_dict() | {"unit": design.unit}, lambda: image_text(found, design.unit))
+    console.show(
+        lambda: found.to_dict() | {"unit": design.unit},
+        lambda: image_text(found, design.unit),
+        lambda: _brief(found, design),
+    )
     if request.out is not None:
         console.say(f"wrote {request.out}")
     return 0
@@ -79,9 +85,7 @@ def run(request: ImagePoint, console: Console) -> int:
 def parse_place(text: str, unit: str) -> tuple[float, float, float]:
     """Read "x,y,z", lengths bare or with a unit, as a point in design units; z may be -inf.
 
-    Raises
-    ------
-    BadOption
+    Raises BadOption.
     """
     from clacad.config.quantities import LENGTH
 
@@ -129,6 +133,17 @@ def image_text(found: Image, unit: str) -> str:
             ]
         )
     return "\n".join([table(lines), *_notes(found, unit)])
+
+
+def _brief(found: Image, design: Design) -> Brief:
+    """Place and share on the last rung; place, spot and share on each; notes."""
+    rows = [["rung", "predicted x, y, z", "found x, y, z", "spot rms x, y", "share"]]
+    for one in found.rungs:
+        spot = "" if one.found.missing else ", ".join(f"{v:.3g}" for v in one.found.spot)
+        rows.append([one.rung, _point(one.predicted), _point(one.found), spot, percent_text(one.share)])
+    unit, last = design.unit, found.rungs[-1]
+    head = f"{design.name}: image at {_point(last.found)} {unit}, share {percent_text(last.share)}"
+    return Brief(head, (facts(rows), [("note", f"  {text}") for text in _notes(found, unit)]))
 
 
 NO_WIDTH = 1e-9

@@ -6,9 +6,11 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, Overridden, dry_run_option, flag, option, overwrite_option
 from clacad.cli.console import Console, say, table
 from clacad.cli.option_values import BadOption
@@ -35,7 +37,7 @@ class New(Overridden):
     wishes: tuple[str, ...] = option(
         "--for KEY=VALUE,...",
         "Find a design that does this and passes verify: eta, width or circle, viewing, object, process, "
-        "material, index, wavelength, pitch, flange, holes, form, kind, delta, euler, field; e.g. "
+        "material, index, wavelength, pitch, flange, holes, form, kind, delta, euler, field, white; e.g. "
         "'eta=-1, circle=60 mm, process=moulding'. Repeatable.",
         (),
     )
@@ -47,22 +49,18 @@ class New(Overridden):
 def run(request: New, console: Console) -> int:
     """Write the design and print the next step; without a name, print questions at a terminal.
 
-    Raises
-    ------
-    DesignError, NoSuchSheet, CannotWrite, ExportRefused
+    Raises DesignError, NoSuchSheet, CannotWrite, ExportRefused.
     """
     if request.list:
         from clacad.design import templates
 
         found = templates()
-        console.show(lambda: found, lambda: "\n".join(_grouped(found)))
+        console.show(lambda: found, lambda: "\n".join(_grouped(found)), lambda: _list_brief(found))
         return 0
     name, words = request.name, _words(request)
     if name is None:
         if request.wishes or request.template is not None or not (sys.stdin.isatty() and sys.stdout.isatty()):
             raise BadOption("a NAME is needed; only a terminal prints the question for it")
-        from clacad.cli.questions import ask
-
         name, words = ask()
     target = Path(f"{name.removesuffix('.toml')}.toml")
     if words is not None:
@@ -83,6 +81,19 @@ def _grouped(found: Mapping[str, str]) -> Iterator[str]:
         names = [name for name in found if figures[name] == figure]
         yield f"the paper's {figure}, and what differs from paper-base"
         yield table(((f"  {name}", differences(name)) for name in names), "")
+
+
+def _list_brief(found: Mapping[str, str]) -> Brief:
+    """Templates to start from with a few words each; names of the paper's designs."""
+    from re import split
+
+    from clacad.design.starter_designs import figure_of
+
+    rows = [(name, split("[.:,;] ", about)[0]) for name, about in found.items() if not figure_of(name)]
+    paper = ", ".join(name for name in found if figure_of(name))
+    return Brief(
+        f"{len(found)} templates: clacad new NAME --template T", (facts([*rows, ("paper's", paper)]),)
+    )
 
 
 def _words(request: New) -> dict[str, Any] | None:
@@ -136,6 +147,7 @@ def _from_wish(request: New, target: Path, words: dict[str, Any], console: Conso
     console.show(
         lambda: _document(found, target, written=not request.dry_run),
         lambda: found.text.rstrip("\n") if request.dry_run else _text(found, target),
+        None if request.dry_run else lambda: _brief(found, target),
     )
     return 0
 
@@ -159,17 +171,42 @@ def _text(found: Proposal, target: Path) -> str:
     """Reasons, neighbouring sizes, and the next step."""
     from clacad.advice.trade_offs import rows_of
 
-    out = target.with_suffix("")
     return "\n".join(
         [
             *found.reasons,
             "what other sizes would give, each built and traced:",
             table(rows_of(found.trades)),
             f"wrote {target}: verify will pass ({found.judgements} designs were built and judged)",
-            f"next: clacad export {target} -o {out} --format step",
-            f"      clacad verify {target} --files {out}",
+            "next: " + "\n      ".join(_following(target)),
         ]
     )
+
+
+def _following(target: Path) -> tuple[str, str]:
+    """Commands that make the design and judge its files."""
+    out = target.with_suffix("")
+    return f"clacad export {target} -o {out} --format step", f"clacad verify {target} --files {out}"
+
+
+def _brief(found: Proposal, target: Path) -> Brief:
+    """What was requested, the numbers of the design, what it does not do, next commands."""
+    from clacad.advice.proposal import not_met, plain_words
+    from clacad.advice.trade_offs import rows_of
+    from clacad.cli.tables import counted, problems
+
+    names, units, values = rows_of(found.trades[:1])
+    made = [
+        f"{name} {value} {unit.removeprefix('+- ')}".rstrip()
+        for name, value, unit in zip(names, values, units, strict=True)
+    ]
+    rows = [
+        ("requested", plain_words(found.wish)),
+        ("design", ", ".join(made[1:])),
+        *(("not met", text) for text in not_met(found.wish, found.design)),
+    ]
+    checks, word = found.judged.checks, "verify will pass"
+    head = f"wrote {target}: {word} ({found.judgements} designs were built and judged)"
+    return Brief(head, (facts(rows), problems(checks)), _following(target), word, counted(checks))
 
 
 def _searched(words: dict[str, Any], request: New, target: Path, console: Console) -> Proposal:
@@ -215,6 +252,73 @@ def _schema_text() -> str:
     from clacad.design import json_schema
 
     return json_text(json_schema())
+
+
+# -- questions at a terminal ---------------------------------------------------------------------------------
+
+
+def _questions() -> tuple[tuple[str, str, str], ...]:
+    """Word, question and default as typed of each question."""
+    from clacad.advice.wish import KEYS, UNIT
+
+    return (
+        ("eta", "eta, one number or [x, y] (-1 turns light over, 0 < eta < 1 shrinks)", "-1"),
+        ("delta", "offset delta [x, y]", "[0, 0]"),
+        ("euler", "phi, theta, psi of the lens axes in degrees [phi, theta, psi]", "[0, 0, 0]"),
+        ("size", "size: a width, [width, height], or 'circle 60 mm'", "50 mm"),
+        ("viewing", "looked at from", "1 m"),
+        ("process", f"process: {KEYS['process'].kind.allowed(UNIT)}".replace('"', ""), "diamond-turning"),
+        ("material", "material", "PMMA"),
+        ("form", f"form: {KEYS['form'].kind.allowed(UNIT)}".replace('"', ""), "any"),
+        ("kind", f"cells: {KEYS['kind'].kind.allowed(UNIT)}".replace('"', ""), "square"),
+    )
+
+
+def ask() -> tuple[str, dict[str, Any]]:
+    """Name and words of a wish, from answers at a terminal; a question is repeated after a wrong answer."""
+    name = _answer("name of the design", "window", _name)
+    words: dict[str, Any] = {}
+    for word, question, default in _questions():
+        words |= _answer(question, default, partial(_word, word, words))
+    return name, words
+
+
+def _answer(question: str, default: str, read: Callable[[str], Any]) -> Any:
+    from clacad.config.mistakes import DesignError
+
+    while True:
+        try:
+            typed = input(f"{question} [{default}]: ").strip() or default
+        except EOFError:  # Ctrl-D: no more answers
+            raise KeyboardInterrupt from None
+        try:
+            return read(typed)
+        except DesignError as problem:
+            print(problem)  # noqa: T201
+
+
+def _name(text: str) -> str:
+    from clacad.design import template
+
+    template(text.removesuffix(".toml").rpartition("/")[2])
+    return text
+
+
+def _word(word: str, before: dict[str, Any], text: str) -> dict[str, Any]:
+    """The answer as words of a wish, checked alone and with the earlier ones."""
+    from clacad.advice.wish import read_wish, read_word, written
+
+    if word == "size":
+        word, text = (
+            ("circle", text.removeprefix("circle").strip()) if text.startswith("circle") else ("width", text)
+        )
+    found = {word: written(text)}
+    read_word(word, found[word])
+    if "eta" in before or word == "eta":
+        read_wish(
+            {"width": 1.0, **{k: v for k, v in (before | found).items() if k not in ("width", "circle")}}
+        )
+    return found
 
 
 COMMANDS = (Command("new", "make", New, run),)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import degrees, inf
@@ -10,13 +10,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.base.text import mrad_text
+from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option
 from clacad.cli.console import Console
 from clacad.cli.interrupts import INTERRUPTED
-from clacad.cli.option_values import BadOption, load_counted, parse_angle, parse_design_file, words_of
+from clacad.cli.option_values import (
+    BadOption,
+    cell_option,
+    load_counted,
+    of_cell,
+    parse_angle,
+    parse_design_file,
+    words_of,
+)
 
 if TYPE_CHECKING:
-    from clacad.design import Design
+    from clacad.checks.check import Check
     from clacad.optimising import Optimised
     from clacad.optimising.gain_as_made import GainAsMade
 
@@ -24,13 +33,7 @@ TASK = "optimise"
 
 
 def _free(option: str, text: str) -> tuple[str, ...]:
-    """Read "radii,conic" as words, each once.
-
-    Raises
-    ------
-    BadOption
-        A word twice.
-    """
+    """Read "radii,conic" as words, each once. Raises BadOption: A word twice."""
     words = words_of(option, text)
     twice = next((word for n, word in enumerate(words) if word in words[:n]), None)
     if twice is not None:
@@ -58,7 +61,7 @@ class Optimise(OfDesign):
     free: tuple[str, ...] = option(
         "--free A,B",
         "What may change: radii, conic, bending (own radii a face), a4, a6, a8, offset, field (the field "
-        "lens).",
+        "lens); of listed plates also thickness and joints.",
         ("radii", "conic"),
         read=_free,
     )
@@ -71,6 +74,14 @@ class Optimise(OfDesign):
         "--weights P:W,P:W",
         "Parts of the field and the weight of each, e.g. .5:1,1:1; default the whole field.",
         read=_weights,
+    )
+    spectrum: str | None = option(
+        "--spectrum WORD",
+        "Seek the least mean error over lines of light: visible (F e d C), photopic, or design (its "
+        "[light]); default the design's wavelength.",
+    )
+    starts: int = option(
+        "--starts N", "Starts of the search, the first from the design's faces.", 1, least=1, most=1000
     )
     tolerances: bool = flag(
         "--tolerances",
@@ -87,6 +98,7 @@ class Optimise(OfDesign):
         "Write a page with before and after: spots, error maps, sections, thicknesses, and whether the "
         "gain survives 1 µm and 0.1 mrad.",
     )
+    cell: tuple[int, int] | None = cell_option()
     dry_run: bool = dry_run_option()
     overwrite: bool = overwrite_option()
 
@@ -95,14 +107,17 @@ def run(request: Optimise, console: Console) -> int:
     """Search, write the better design, print the gain; exit 1 where verify will fail, 130 when stopped."""
     if request.seconds is not None and not 0.0 < request.seconds < inf:
         raise BadOption(f"--seconds {request.seconds:g}: it is a number of seconds above 0, such as 60")
-    design = load_counted(request.design, request.set)
-    from clacad.optimising import optimise, outlook
+    design = of_cell(load_counted(request.design, request.set), request.cell)
+    from clacad.optimising import Effort, optimise, outlook
     from clacad.optimising.search import design_text
     from clacad.storage.atomic import write_file
 
     page, weights = _page(request), request.weights or ((1.0, 1.0),)
     with _named_as_typed():
-        ahead = outlook(design, request.free, weights, tolerances=request.tolerances)
+        ahead = outlook(
+            design, request.free, weights, tolerances=request.tolerances, spectrum=request.spectrum
+        )
+    ahead["seconds"] *= request.starts
     ahead["seconds"] += _page_seconds(page)
     if request.dry_run:
         console.show(lambda: {"forecast": ahead}, lambda: _forecast_text(ahead, page))
@@ -124,7 +139,8 @@ def run(request: Optimise, console: Console) -> int:
                 best_so_far,
                 weights=weights,
                 tolerances=request.tolerances,
-                seconds=request.seconds,
+                seconds=Effort(request.seconds, request.starts),
+                spectrum=request.spectrum,
             )
         ended.append(found)
         private.write_text(design_text(found), encoding="utf-8", newline="\n")
@@ -188,21 +204,43 @@ def _forecast_text(ahead: dict[str, float], page: Path | None) -> str:
 
 def _finished(found: Optimised, made: GainAsMade | None, request: Optimise, console: Console) -> int:
     """Print what was found and written; the exit status."""
+    from clacad.advice import judge
+
     out, interrupted = request.out, found.stopped == "interrupted"
-    failed = [] if interrupted else _failing(found.design)
+    judged = None if interrupted else judge(found.design)
+    checks = () if judged is None else judged.failing
+    failed = [f"{one.id}: {one.sentence}" for one in checks]
     more = {} if made is None else {"page": str(request.compare), "as_made": made.to_dict()}
+    following = f"clacad check {out}" if failed else f"clacad verify {out}"
+    word = "" if judged is None else judged.verdict()
+    pages = "" if made is None else f" and {request.compare}"
+    written = f"wrote {out}{pages}{', the best so far' if found.stopped else ''}"
+    wrong = [f"verify will fail: {sentence}" for sentence in failed]
     if console.json or found.after:
         console.show(
             lambda: found.to_dict() | {"path": str(out), "failed": failed} | more,
-            lambda: "\n".join(_lines(found, made)),
+            lambda: "\n".join(
+                [*_lines(found, made), *wrong, *([] if interrupted else [f"next: {following}"])]
+            ),
+            lambda: _brief(found, made, checks, word, () if interrupted else (following,)),
         )
-    for sentence in failed:
-        console.say(f"verify will fail: {sentence}")
-    pages = "" if made is None else f" and {request.compare}"
-    following = f"clacad check {out}" if failed else f"clacad verify {out}"
-    next_step = "" if interrupted else f"\nnext: {following}"
-    console.say(f"wrote {out}{pages}{', the best so far' if found.stopped else ''}{next_step}")
+    console.say(written)
     return INTERRUPTED if interrupted else 1 if failed else 0
+
+
+def _brief(
+    found: Optimised, made: GainAsMade | None, failing: Sequence[Check], word: str, following: tuple[str, ...]
+) -> Brief:
+    """The gain over the field, what of it survives as made, the checks that will fail, the verdict."""
+    from clacad.cli.tables import problems
+
+    about, *gained = _lines(found, made)[: -1 if made is not None else None]
+    own = min(range(len(found.before)), key=lambda k: abs(found.before[k].field - found.field))
+    errors = (mrad_text(one.law_rms) for one in (found.before[own], found.after[own]))
+    head = f"{found.design.name}: rms error to the law {'  ->  '.join(errors)}"
+    rows = [("as made", "" if made is None else made.sentence())]
+    rows += [("field", text.strip()) for text in gained]
+    return Brief(head, (facts([*rows, ("search", about)]), problems(failing)), following, word)
 
 
 def _lines(found: Optimised, made: GainAsMade | None) -> list[str]:
@@ -216,13 +254,6 @@ def _lines(found: Optimised, made: GainAsMade | None) -> list[str]:
     lines += [left_out(found)] if found.left_out and not found.stopped else []
     lines += ["the seconds were over before the search had ended"] if found.stopped == "seconds" else []
     return lines + ([] if made is None else [made.sentence()])
-
-
-def _failing(design: Design) -> list[str]:
-    """Sentences of the checks that verify will fail: design rules, and light through one cell."""
-    from clacad.advice import judge
-
-    return [f"{check.id}: {check.sentence}" for check in judge(design).failing]
 
 
 COMMANDS = (Command("optimise", "make", Optimise, run),)

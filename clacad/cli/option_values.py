@@ -6,9 +6,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from math import hypot, isfinite, pi, tan
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from clacad.base.text import whole_number
+from clacad.cli.command import option
 
 if TYPE_CHECKING:
     from fractions import Fraction
@@ -22,6 +23,9 @@ STEEPEST = 80.0 * pi / 180.0
 
 SHORTEST, LONGEST = 1e-8, 1e-3
 """Range of wavelengths, metres."""
+
+
+Number = TypeVar("Number", int, float)
 
 
 class BadOption(ValueError):
@@ -40,15 +44,34 @@ def load_design(path: Path, overrides: tuple[str, ...]) -> Design:
 def load_counted(path: Path, overrides: tuple[str, ...]) -> Design:
     """Read a design with at most as many lenslets as are ever counted through.
 
-    Raises
-    ------
-    DesignError, LimitRefused
+    Raises DesignError, LimitRefused.
     """
     from clacad.exporting.limits import refuse_uncountable
 
     design = load_design(path, overrides)
     refuse_uncountable(design)
     return design
+
+
+def cell_option() -> Any:
+    """Option of commands that work on the uniform sheet of one cell."""
+    about = "Of a non-uniform sheet: the uniform sheet of this cell."
+    return option("--cell I,J", about, None, read=parse_cell)
+
+
+def of_cell(design: Design, cell: tuple[int, int] | None) -> Design:
+    """Design of the uniform sheet of a cell; the design itself where none is requested.
+
+    Raises BadRequest, DesignError, CellsDiffer.
+    """
+    if cell is None:
+        return design
+    from clacad.exporting.limits import refuse_no_cell
+    from clacad.prescription.prescribe import design_of_cell, prescribe
+
+    window = prescribe(design)
+    refuse_no_cell(window, cell)
+    return design_of_cell(design, window, cell)
 
 
 def words_of(option: str, text: str) -> tuple[str, ...]:
@@ -59,10 +82,7 @@ def words_of(option: str, text: str) -> tuple[str, ...]:
 def per_format(option: str, texts: tuple[str, ...]) -> str | dict[str, str] | None:
     """Read VALUE, or FORMAT=VALUE,… as a mapping; texts of repeated options are joined by commas.
 
-    Raises
-    ------
-    BadOption
-        Both kinds at once, a part without a value, or a format named twice.
+    Raises BadOption: Both kinds at once, a part without a value, or a format named twice.
     """
     if not texts:
         return None
@@ -86,6 +106,20 @@ def parse_cells(option: str, text: str) -> tuple[int, int]:
     if len(numbers) not in (1, 2) or min(numbers) <= 0:
         raise BadOption(f"{option} {text}: it is two whole numbers above 0, such as 10x10")
     return numbers[0], numbers[-1]
+
+
+def parse_cell(option: str, text: str) -> tuple[int, int]:
+    """Read "I,J", the index of a cell, as a pair of whole numbers of either sign."""
+    return _two(option, text, int, "the index of a cell, two whole numbers such as 4,3")
+
+
+def _two(option: str, text: str, number: Callable[[str], Number], what: str) -> tuple[Number, Number]:
+    """Two numbers with a comma between."""
+    try:
+        x, y = map(number, text.split(","))
+    except ValueError:
+        raise BadOption(f"{option} {text}: it is {what}") from None
+    return x, y
 
 
 def parse_slope_error(option: str, text: str) -> float | Literal["auto"]:
@@ -132,12 +166,7 @@ def parse_two_angles(option: str, text: str) -> tuple[float, float]:
 
 def parse_slopes(option: str, text: str) -> tuple[float, float]:
     """Read "SX,SY", slopes of a direction along the sheet's x and y."""
-    try:
-        x, y = (float(word) for word in text.split(","))
-    except ValueError:
-        raise BadOption(
-            f"{option} {text}: it is two slopes along the sheet's x and y, such as 0,0 or 0.02,-0.01"
-        ) from None
+    x, y = _two(option, text, float, "two slopes along the sheet's x and y, such as 0,0 or 0.02,-0.01")
     if not hypot(x, y) <= tan(STEEPEST):
         raise BadOption(
             f"{option} {text}: the direction lies within 80 deg of the normal, a slope of at most "
@@ -160,12 +189,7 @@ def parse_wavelength(option: str, text: str) -> float:
 
 
 def picture_kind(out: Path | None, default: Literal["png", "svg"] = "png") -> Literal["png", "svg"]:
-    """Kind of picture by the name of its file; the default without a file.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Kind of picture by the name of its file; the default without a file. Raises BadOption."""
     ending = default if out is None else out.suffix.lower().removeprefix(".")
     if ending == "svg":
         return "svg"
@@ -175,12 +199,7 @@ def picture_kind(out: Path | None, default: Literal["png", "svg"] = "png") -> Li
 
 
 def parse_design_file(option: str, text: str) -> Path:
-    """Read the name of a design file to write, which is TOML.
-
-    Raises
-    ------
-    BadOption
-    """
+    """Read the name of a design file to write, which is TOML. Raises BadOption."""
     if Path(text).suffix.lower() != ".toml":
         raise BadOption(f"-o {text}: the design's name ends in .toml")
     return Path(text)
@@ -221,9 +240,7 @@ def parse_distance(option: str, text: str, unit: str, *, zero: bool = False) -> 
 def read_length(said: str, text: str, unit: str, kind: Quantity) -> float:
     """Read a length of a kind, bare or with a unit, in the unit of a design; `said` begins the refusal.
 
-    Raises
-    ------
-    BadOption
+    Raises BadOption.
     """
     from clacad.base.units import design_unit
     from clacad.config.value_kinds import Refusal

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, Overridden, option, overwrite_option, required
 from clacad.cli.console import Console, Progress, table
 from clacad.cli.option_values import BadOption, load_design, parse_angle, parse_distance
@@ -207,19 +208,18 @@ def _show(pictures: list[Picture], files: list[Path], console: Console) -> None:
     from clacad.rendering.picture_files import metadata_of
 
     pairs = list(zip(pictures, files, strict=True))
+    written = "\n".join(
+        f"wrote {file}: {picture.light.shape[1]} x {picture.light.shape[0]}, "
+        f"{int(picture.samples.sum()):,} camera rays"
+        for picture, file in pairs
+    )
+    notes = metadata_of(pictures[-1])
+    rows = [(key.removeprefix("clacad:"), notes[key]) for key in notes if key.startswith("clacad:")]
     console.show(
         lambda: {"pictures": [_document(picture, file) for picture, file in pairs]},
-        lambda: "\n".join(
-            f"wrote {file}: {picture.light.shape[1]} x {picture.light.shape[0]}, "
-            f"{int(picture.samples.sum()):,} camera rays"
-            for picture, file in pairs
-        ),
+        lambda: f"{written}\n{table(rows)}",
+        lambda: Brief(written.replace("\n", "; "), (facts(rows),)),
     )
-    if not console.json:
-        notes = metadata_of(pictures[-1])
-        console.say(
-            table([(key.removeprefix("clacad:"), notes[key]) for key in notes if key.startswith("clacad:")])
-        )
 
 
 def _document(picture: Picture, file: Path) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import percent_text
+from clacad.cli.brief import Brief
 from clacad.cli.command import (
     Command,
     Overridden,
@@ -92,12 +93,16 @@ def run(request: ShapeBeam, console: Console) -> int:
                 f"{request.target}: {error}; more cells (lattice.count), or fewer points"
             ) from error
         seen = _published(design, found, paths, distance, request)
+    out, cells, picture = paths
+    written = f"wrote {out}, {cells} and {picture}"
+    head, *lines = _lines(design, found, seen, distance)
     console.show(
         lambda: _document(design, found, seen) | {"files": [str(path) for path in paths]},
-        lambda: _text(design, found, seen, distance),
+        lambda: "\n".join([head, *lines, written, f"next: clacad image {out}"]),
+        lambda: Brief(
+            head, ([*(("", line) for line in lines), ("files", written)],), (f"clacad image {out}",)
+        ),
     )
-    out, cells, picture = paths
-    console.say(f"wrote {out}, {cells} and {picture}\nnext: clacad image {out}")
     return 0
 
 
@@ -126,7 +131,25 @@ def _base(request: ShapeBeam) -> Design:
         load(request.base, (*overrides, PROBE))
     else:
         Design.from_dict(design.given, [PROBE])
+    _refuse_oblique(design)
     return design.replace(changes) if changes else design
+
+
+def _refuse_oblique(design: Design) -> None:
+    """Refuse lenses that are tilted and cells that are aimed: δ is found for light along upright lenses.
+
+    Raises DesignError: CL125
+    """
+    from clacad.design import DesignError
+    from clacad.design.sections import LATTICE, LAW, AimedAt
+
+    light = "this command finds delta for light along the normal"
+    if design.law.theta != 0.0:
+        message = f"law.euler tilts the lenses, and {light} through upright ones"
+        raise DesignError.at(design, LAW.euler, message, code="CL125", hint="theta = 0")
+    if isinstance(design.lattice.aperture, AimedAt):
+        message = f"lattice.aperture aims the cells at a point, and {light}"
+        raise DesignError.at(design, LATTICE.aperture, message, code="CL125", hint='aperture = "centred"')
 
 
 PROBE = "law.varying={f_image=1e9}"
@@ -241,22 +264,20 @@ def _document(design: Design, found: Shaped, seen: Rendered) -> dict[str, Any]:
     }
 
 
-def _text(design: Design, found: Shaped, seen: Rendered, distance: float) -> str:
+def _lines(design: Design, found: Shaped, seen: Rendered, distance: float) -> list[str]:
     blur, unit = found.blur, design.unit
-    return "\n".join(
-        [
-            f"{len(found.cells):,} cells send parallel light to a screen {distance:g} {unit} behind array"
-            f" 2, {found.way:.4g} {unit} aside (rms)",
-            f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source "
-            f"{_pair(blur.source)}, diffraction {_pair(blur.diffraction)}",
-            f"  through           {percent_text(seen.through, 4)} of the light, through lenses of one"
-            " telescopelet",
-            f"  within one blur   {percent_text(seen.within, 4)} of all light",
-            f"  elsewhere         {percent_text(seen.difference)} of what arrives, against the target as"
-            f" wide as a cell: light comes in {len(found.cells):,} spots; by the lenses"
-            f" {percent_text(seen.by_lenses)}",
-        ]
-    )
+    return [
+        f"{len(found.cells):,} cells send parallel light to a screen {distance:g} {unit} behind array"
+        f" 2, {found.way:.4g} {unit} aside (rms)",
+        f"  blur              {_pair(blur.all)} {unit}: cell {_pair(blur.cell)}, source "
+        f"{_pair(blur.source)}, diffraction {_pair(blur.diffraction)}",
+        f"  through           {percent_text(seen.through, 4)} of the light, through lenses of one"
+        " telescopelet",
+        f"  within one blur   {percent_text(seen.within, 4)} of all light",
+        f"  elsewhere         {percent_text(seen.difference)} of what arrives, against the target as"
+        f" wide as a cell: light comes in {len(found.cells):,} spots; by the lenses"
+        f" {percent_text(seen.by_lenses)}",
+    ]
 
 
 def _pair(two: tuple[float, float]) -> str:

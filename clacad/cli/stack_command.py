@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from math import degrees
+from math import degrees, isfinite
 from pathlib import Path
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import mrad_text, percent_text, short_size_text
+from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, declared, dry_run_option, flag, option, required
 from clacad.cli.console import Console, table
 from clacad.cli.option_values import (
@@ -19,12 +21,14 @@ from clacad.cli.option_values import (
     parse_angle,
     parse_cells,
     parse_distance,
+    read_length,
     words_of,
 )
 from clacad.exporting.formats.indexed_meshes import GLB
 from clacad.exporting.formats.step import WORD as STEP
 
 if TYPE_CHECKING:
+    from clacad.advice.wanted_stack import Solved, Wanted
     from clacad.checks.check import Check
     from clacad.design import Design
     from clacad.sheet.stack import Stack
@@ -44,9 +48,18 @@ class StackSheets:
     gap: str = option(
         "--gap L,M", "Clear distance between neighbours, e.g. '100 mm'; one for all, or one for each gap.", ""
     )
+    wish: tuple[str, ...] = option(
+        "--for WISH,...",
+        "Solve sheets like DESIGN for a matrix: cloak, space=LENGTH, relay=M, or image=M with object=LENGTH"
+        " and at=LENGTH; ring=LENGTH that no light crosses. --gap is then from array to array, --zone the"
+        " width of the light.",
+        (),
+        read=words_of,
+    )
     out: Path | None = option(
         "-o, --out DIR",
-        "Write stack.step, stack.glb, stack.json and manifest.json here; without it, only measure.",
+        "Write stack.step, stack.glb, stack.json and manifest.json here; with --for the scene FILE.toml of "
+        "the sheets. Without it, only measure.",
     )
     files: Path | None = option(
         "--files DIR|FILE",
@@ -84,7 +97,12 @@ class StackSheets:
 
 
 def run(request: StackSheets, console: Console) -> int:
-    """Measure a stack and write it, or judge the files of one; with --dry-run forecast the cost."""
+    """Measure a stack and write it, or judge the files of one; with --dry-run forecast the cost.
+
+    With --for solve sheets for a wanted matrix.
+    """
+    if request.wish:
+        return _solve(request, console)
     if request.files is not None and (request.out is not None or request.dry_run):
         raise BadOption("--files judges what was written: give it without -o and --dry-run")
     designs, gaps, ids = _sheets_and_places(request)
@@ -134,9 +152,7 @@ def _sheets_and_places(
 def load_sheets(paths: Sequence[Path], overrides: Sequence[str]) -> list[Design]:
     """Read the designs of a stack; an override with a sheet's letter is for that sheet, others for all.
 
-    Raises
-    ------
-    DesignError, BadOption
+    Raises DesignError, BadOption.
     """
     if len(paths) > len(ascii_lowercase):  # a letter names each
         raise BadOption(f"{len(paths)} sheets: a stack has at most {len(ascii_lowercase)}")
@@ -196,6 +212,141 @@ def _zone(text: str | None, unit: str) -> tuple[float, float] | None:
     return sides[0], sides[-1]
 
 
+def _solve(request: StackSheets, console: Console) -> int:
+    """Print two and three sheets with the wanted matrix; status 1 where neither can be built."""
+    from clacad.advice.wanted_stack import NoSuchStack, rows_of, solve_three, solve_two
+
+    if len(request.designs) != 1 or request.files is not None:
+        raise BadOption("--for takes one design, which all sheets are like, and no --files")
+    design = load_counted(request.designs[0], request.set)
+    wanted = _wanted(request, design)
+    found: dict[int, Solved | NoSuchStack] = {}
+    for count, solve in ((2, solve_two), (3, solve_three)):
+        try:
+            found[count] = solve(wanted)
+        except NoSuchStack as refusal:
+            found[count] = refusal
+    best = max(
+        (one for one in found.values() if not isinstance(one, Exception)),
+        key=lambda one: one.share,
+        default=None,
+    )
+    written = "nothing: -o FILE.toml writes the scene of the sheets"
+    if best is not None and request.out is not None:
+        _write_scene(request, design, wanted, best)
+        written = str(request.out)
+    told = {
+        count: {"impossible": str(one)} if isinstance(one, Exception) else one.to_dict()
+        for count, one in found.items()
+    }
+    able = "not possible with these sheets" if best is None else _solved_text(best, wanted, design.unit)
+    head = f"{wanted.name}: {able}"
+    rows = [row for count, one in found.items() for row in rows_of(count, one, design.unit)]
+    following = () if best is None or request.out is None else (f"clacad stack {request.out}",)
+    console.show(
+        lambda: {"matrix": wanted.matrix, "length": wanted.length, "unit": design.unit, "sheets": told},
+        lambda: f"{head}\n{table(rows)}\nwrote {written}",
+        lambda: Brief(head, (facts([*rows, ("written", written)]),), following),
+    )
+    return 1 if best is None else 0
+
+
+def _wanted(request: StackSheets, design: Design) -> Wanted:
+    """The wish in numbers; lengths in the design's unit. Raises BadOption."""
+    from clacad.advice.wanted_stack import KINDS, Wanted, wanted_matrix
+    from clacad.config.quantities import LENGTH
+    from clacad.prescription.intent import intent_of, separation_of
+
+    pair, unit = design.pair, design.unit
+    if pair.form == "plates" or pair.field_lens:
+        raise BadOption(
+            "--for solves sheets of two lenses a cell: form slab, plano or biconvex, no field lens"
+        )
+    words = {key: value for key, _, value in (word.partition("=") for word in request.wish)}
+    kinds = [key for key in words if key in KINDS]
+    if len(kinds) != 1 or not words.keys() <= {*KINDS, "ring", "object", "at"}:
+        raise BadOption(
+            f"--for {','.join(request.wish)}: give one of {', '.join(KINDS)}; then ring, object, at"
+        )
+    kind, intent = kinds[0], intent_of(design)
+    if kind == "cloak" and "ring" not in words:
+        raise BadOption(
+            "--for cloak needs ring=LENGTH, the width that is hidden: sheets that do nothing hide nothing"
+        )
+    gaps = [parse_distance("--gap", part, unit) for part in request.gap.split(",") if part.strip()]
+    if len(gaps) not in (1, 2):
+        raise BadOption(
+            "--for needs --gap: one length, or two, from array 2 of a sheet to array 1 of the next"
+        )
+    sides = _zone(request.zone, unit) or (max(design.lattice.pitch) * max(design.lattice.count),)
+    separation, pitch = separation_of(intent), max(intent.lattice.pitch)
+    length = 3.0 * separation + gaps[0] + gaps[-1]
+    if kind == "space":
+        value = read_length(f"--for space={words[kind]}:", words[kind], unit, LENGTH)
+    else:
+        value = 1.0 if kind == "cloak" else _magnification(kind, words[kind])
+    planes = tuple(
+        parse_distance(f"--for {key}=", words.get(key, "0"), unit, zero=True) for key in ("object", "at")
+    )
+    bend = (intent.index - 1.0) * (2.0 if pair.form == "biconvex" else 1.0)
+    return Wanted(
+        f"{kind} of {words[kind] or f'{length:.6g} {unit}'}",
+        wanted_matrix(kind, value, length, (planes[0], planes[1])),
+        separation,
+        pitch,
+        (gaps[0], gaps[-1]),
+        0.5 * max(sides),
+        design.check.field if request.field is None else request.field,
+        bend,
+        parse_distance("--for ring=", words["ring"], unit) if "ring" in words else 0.0,
+    )
+
+
+def _magnification(kind: str, text: str) -> float:
+    with suppress(ValueError):
+        if isfinite(value := float(text)) and value:
+            return value
+    raise BadOption(f"--for {kind}={text}: is a magnification, a number that is not 0")
+
+
+def _solved_text(solved: Solved, wanted: Wanted, unit: str) -> str:
+    """Share, loss, field and waist of solved sheets."""
+    return (
+        f"{len(solved.sheets)} sheets pass {percent_text(solved.share)} of the light within "
+        f"± {degrees(wanted.field):.3g} deg over {2.0 * wanted.radius:.4g} {unit} (thin lenses), none beyond "
+        f"± {degrees(solved.field):.3g} deg; narrowest half width {solved.waist:.4g} {unit}"
+    )
+
+
+def _write_scene(request: StackSheets, design: Design, wanted: Wanted, solved: Solved) -> None:
+    """Write the scene of solved sheets: a camera before them, stripes behind."""
+    from os.path import relpath
+
+    from clacad.advice.wanted_stack import placed, sheet_keys
+    from clacad.config.edit_text import parse, value_text
+    from clacad.config.mistakes import Mistake
+    from clacad.storage.atomic import write_content
+
+    out = request.out
+    assert out is not None
+    keys = [sheet_keys(wanted, one) for one in solved.sheets]
+    stack = placed([design.replace(own) for own in keys], solved.gaps)
+    source = relpath(request.designs[0], out.parent).replace("\\", "/")
+    if source.startswith("../../"):
+        raise BadOption(f"-o {out}: a scene lies in the folder of {request.designs[0]} or in a folder there")
+    given = dict(pair for text in request.set if not isinstance(pair := parse(text), Mistake))
+    lines = ["format = 1", f"name = {value_text(out.stem)}", f"unit = {value_text(design.unit)}"]
+    for one, own in zip(stack.sheets, keys):
+        values = [f"{value_text(key)} = {value_text(value)}" for key, value in (given | own).items()]
+        lines += ["", "[[sheet]]", f'id = "{one.id}"', f"design = {value_text(source)}"]
+        lines += [f"set = {{ {', '.join(values)} }}", f"z = {one.z!r}"]
+    far = 4.0 * wanted.length
+    lines += ["", "[camera]", f"position = [0, 0, {-far:.6g}]", f"frame = {2.6 * wanted.radius:.6g}"]
+    lines += ["", "[[object]]", 'id = "wall"', 'kind = "screen"', f"at = [0, 0, {wanted.length + far:.6g}]"]
+    lines += [f"size = [{far:.6g}, {far:.6g}]", 'pattern = "stripes"', f"period = {wanted.radius:.6g}"]
+    write_content(out, "\n".join(lines) + "\n", overwrite=request.overwrite)
+
+
 def _forecast(stack: Stack, request: StackRequest, out: Path | None, console: Console) -> int:
     """Print the cost of a stack and the places of its sheets; refuse what an export would be refused."""
     from clacad.base.units import millimetres
@@ -230,16 +381,18 @@ def _judge(
 ) -> int:
     """Judge the files of a stack; exit status 1 where a check failed or did not run."""
     from clacad.checks.check import passed
-    from clacad.cli.tables import checks_text
+    from clacad.cli.tables import checks_text, counted, problems
     from clacad.stacking.judge_stack import judge_stack
     from clacad.stacking.make_stack import field_of
 
     with console.progress() as progress:
         checks = judge_stack(stack, designs, files, field_of(designs, request), progress)
     good = passed(checks)
+    word = _verdict(good, checks)
     console.show(
         lambda: {"passed": good, "checks": [check.to_dict() for check in checks]},
-        lambda: f"{checks_text(checks)}\n{_verdict(good, checks)}",
+        lambda: f"{checks_text(checks)}\n{word}",
+        lambda: Brief(word, (problems(checks),), (), word, counted(checks)),
     )
     return 0 if good else 1
 
@@ -271,14 +424,35 @@ def _make(
             made = run_stack(designs, request, out, progress)
     manifest = made.manifest
     files = [] if manifest is None else list(manifest.files)
-    written = "" if manifest is None else ", ".join(str(entry["name"]) for entry in files)
+    names = ", ".join(str(entry["name"]) for entry in files)
+    written = "nothing: -o DIR writes the assembly" if manifest is None else f"{names} in {manifest.folder}"
     console.show(
         lambda: made.to_dict() | {"files": files, "folder": None if out is None else str(out)},
-        lambda: stack_text(made) + ("" if manifest is None else f"\nwrote {written} in {manifest.folder}"),
+        lambda: f"{stack_text(made)}\nwrote {written}",
+        lambda: _brief(made, written),
     )
-    if manifest is None and not console.json:
-        console.say("nothing is written: -o DIR writes the assembly")
     return 0
+
+
+def _brief(made: Stacked, written: str) -> Brief:
+    """Share of the light, effect on space, image of a point, share through each sheet."""
+    exact = made.exact
+    spaces = (text.partition("; chief rays")[0] for text in _spaces(made))
+    sheets = zip(made.stack.sheets, exact.sheets, strict=True)
+    rows = [
+        ("light", f"over {_lit(made)}, slopes of ± {degrees(exact.field):.3g} deg; {_thin(made)}"),
+        *(("space", text) for text in spaces),
+        ("point", _image_text(made, made.unit)),
+        *((f"sheet {one.id}", f"passes {percent_text(share)} of what came so far") for one, share in sheets),
+        ("written", written),
+    ]
+    return Brief(_share(made), (facts(rows),))
+
+
+def _share(made: Stacked) -> str:
+    x, y = made.exact.meridians
+    share = f"{percent_text(made.exact.share, unit='')} %{_of_meridians(x.share, y.share)}"
+    return f"share of the light that obeys all {len(made.designs)} laws: {share}"
 
 
 def stack_text(made: Stacked) -> str:
@@ -287,11 +461,9 @@ def stack_text(made: Stacked) -> str:
     from clacad.stacking.assembly import sheet_facts
 
     exact, unit = made.exact, made.unit
-    x, y = exact.meridians
     parts = [
-        f"share of the light that obeys all {len(made.designs)} laws: {percent_text(exact.share, unit='')} "
-        f"%{_of_meridians(x.share, y.share)}, over {_lit(made)} and slopes of ± {degrees(exact.field):.3g} "
-        f"deg ({_thin(made)}); the rest are ghosts, or lost",
+        f"{_share(made)}, over {_lit(made)} and slopes of ± {degrees(exact.field):.3g} deg ({_thin(made)}); "
+        "the rest are ghosts, or lost",
         *_spaces(made),
         _sheets_text(
             sheet_facts(one, millimetres(made.stack.unit)) | {"share": share}

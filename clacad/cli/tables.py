@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from clacad.base.text import bound, count_text, mrad_text, short_size_text, shown, span_text
+from clacad.base.text import DIGITS, bound, count_text, mrad_text, short_size_text, shown, span_text
+from clacad.cli.brief import Entry
 from clacad.cli.console import table
 
 MARKS = {"pass": "ok", "fail": "FAIL", "warn": "warn", "not run": "not run"}
@@ -29,22 +30,35 @@ def checks_text(checks: Iterable[Any]) -> str:
     return table(lines)
 
 
-def verdicts_text(verdicts: Iterable[Any]) -> str:
-    """One line a file: role, verdict, and the error of light through it with its limit."""
-    lines = []
-    for one in verdicts:
-        light = (
-            ""
-            if one.rms is None or one.limit is None
-            else f"{mrad_text(one.rms, 3, unit='')} of {mrad_text(one.limit, 3)} rms"
-        )
-        lines.append([one.name, one.role.value, one.word, light])
-    return table(lines)
+def problems(checks: Iterable[Any], hints: Callable[[Any], Sequence[Any]] = lambda check: ()) -> list[Entry]:
+    """Entries of the checks that fail or warn, failures first, each with a hint or the remedy of its kind.
+
+    A remedy is printed once.
+    """
+    order = {"fail": "FAIL", "not run": "not run", "warn": "warning"}
+    shown_checks = [one for one in checks if one.state in order and (one.required or one.state != "not run")]
+    found, printed = [], set()
+    for check in sorted(shown_checks, key=lambda check: list(order).index(check.state)):
+        value, limit = against(check, 4)
+        name = f"{check.id} ({check.subject})" if check.subject else check.id
+        bounds = f"{value}, limit {limit}" if limit else value
+        remedy = str(next(iter(hints(check)), check.kind.do))
+        below = "" if remedy in printed else f"\n           remedy: {remedy}"
+        printed.add(remedy)
+        text = f"  {order[check.state]:7}  {name}: {'; '.join(filter(None, (bounds, check.sentence)))}"
+        found.append((name, text + below))
+    return found
 
 
-def against(check: Any) -> tuple[str, str]:
+def counted(checks: Sequence[Any]) -> str:
+    """Number of checks that pass and warn: "checks passed: 32, warnings: 1"."""
+    good, warned = (sum(check.state == state for check in checks) for state in ("pass", "warn"))
+    return f"checks passed: {good}" + (f", warnings: {warned}" if warned else "")
+
+
+def against(check: Any, count: int = DIGITS) -> tuple[str, str]:
     """Value, and limit with its sense, of a check, in as many digits as the comparison needs."""
-    value, limit, unit, note = shown(check.value, check.limit, check.relation, check.unit, check.state)
+    value, limit, unit, note = shown(check.value, check.limit, check.relation, check.unit, check.state, count)
     value = "-" if check.value is None else value
     if check.limit is None:
         return value, ""
@@ -104,9 +118,12 @@ def files_text(files: Iterable[Any], limit: float | None = None) -> str:
 def holds_text(entry: Mapping[str, Any]) -> str:
     """Solids or objects in a file of a manifest, and the option that changes their number; "" for none."""
     from clacad.exporting.formats import step
-    from clacad.formats.step.step_mode import FUSED_CELLS
-    from clacad.judging.without_optics import fixture_names
+    from clacad.exporting.formats.format import cell_words
+    from clacad.formats.step.part21 import FUSED_CELLS
+    from clacad.judging.without_optics import is_fixture
 
+    if words := cell_words(entry):
+        return words
     instanced = entry.get("mode") == "instanced"
     if entry["format"] == step.WORD and "solids" in entry:
         solids, faces = int(entry["solids"]), int(entry["faces"])
@@ -118,7 +135,7 @@ def holds_text(entry: Mapping[str, Any]) -> str:
             )
         if entry.get("own_cells"):
             return f"{words}, one a connected piece; every cell differs, so that none can be repeated"
-        if all(name in fixture_names() or name.endswith(".marked") for name in entry["bodies"]):
+        if all(is_fixture(name) or name.endswith(".marked") for name in entry["bodies"]):
             return f"{words}, one a connected piece"
         return (
             f"{words}, one a connected piece; the default up to {FUSED_CELLS:,} cells "

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import mrad_text, percent_text
+from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, option, overwrite_option, required
 from clacad.cli.console import Console, table
-from clacad.cli.option_values import load_counted, parse_slopes, words_of
+from clacad.cli.option_values import cell_option, load_counted, of_cell, parse_slopes, words_of
 
 if TYPE_CHECKING:
     from clacad.verification.tolerance import Study, Sweep
@@ -48,6 +49,7 @@ class Tolerance(OfDesign):
         "--samples N", "Sheets drawn; default the design's tolerances.samples.", least=0, most=10_000_000
     )
     seed: int | None = option("--seed N", "Default the design's.", least=0, most=1_000_000_000)
+    cell: tuple[int, int] | None = cell_option()
     rays: int = _rays()
     workers: int | None = _workers()
     scheduler: str | None = _scheduler()
@@ -56,18 +58,21 @@ class Tolerance(OfDesign):
 
 def run_tolerance(request: Tolerance, console: Console) -> int:
     """Make many sheets with the design's tolerances, print contributors and yield, write the tables."""
-    design = load_counted(request.design, request.set)
+    design = of_cell(load_counted(request.design, request.set), request.cell)
     from clacad.formats.study_file import TOLERANCES
     from clacad.verification.tolerance import Farm, tolerance, write_study
+    from clacad.verification.tolerance.study import TASK, study_seconds
     from clacad.verification.tolerance.study_files import study_document
 
     kept = _checkpoint(request, TOLERANCES)
     overwrite = request.overwrite or (kept is not None and kept.exists())
     farm = Farm(request.workers, request.scheduler)
-    with console.progress() as progress:
+    takes = study_seconds(design, request.samples, request.rays)
+    with console.progress() as progress, console.forecast(TASK, takes) as span:
+        progress.expect(span.middle)
         study = tolerance(design, request.samples, request.seed, request.rays, farm, kept, progress)
     written = [] if request.out is None else write_study(study, request.out, overwrite=overwrite)
-    console.show(lambda: study_document(study), lambda: tolerance_text(study))
+    console.show(lambda: study_document(study), lambda: tolerance_text(study), lambda: _brief(study))
     if written:
         console.say("wrote " + ", ".join(str(p) for p in written))
     return 0
@@ -101,6 +106,7 @@ def run_sweep(request: SweepDesign, console: Console) -> int:
     """Build, judge and trace every point of a grid, print the table, write it."""
     design = load_counted(request.design, request.set)
     from clacad.verification.tolerance import Farm, parse_vary, sweep, write_sweep
+    from clacad.verification.tolerance.parameter_sweep import TASK, sweep_seconds
     from clacad.verification.tolerance.study_files import SWEEP, require_writable
 
     require_writable(request.formats)
@@ -108,13 +114,19 @@ def run_sweep(request: SweepDesign, console: Console) -> int:
     kept = _checkpoint(request, SWEEP)
     overwrite = request.overwrite or (kept is not None and kept.exists())
     farm = Farm(request.workers, request.scheduler)
-    with console.progress() as progress:
+    takes = sweep_seconds(axes, request.rays)
+    with console.progress() as progress, console.forecast(TASK, takes) as span:
+        progress.expect(span.middle)
         found = sweep(design, axes, request.rays, farm, kept, progress, request.incident)
     written = (
         [] if request.out is None else write_sweep(found, request.out, request.formats, overwrite=overwrite)
     )
     head = {"design": found.name, "sha256": found.sha256, "incident": found.incident}
-    console.show(lambda: {**head, "columns": found.columns(), "rows": found.rows}, lambda: sweep_text(found))
+    console.show(
+        lambda: {**head, "columns": found.columns(), "rows": found.rows},
+        lambda: sweep_text(found),
+        lambda: _sweep_brief(found),
+    )
     if written:
         console.say("wrote " + ", ".join(str(p) for p in written))
     return 0
@@ -145,14 +157,65 @@ def tolerance_text(study: Study) -> str:
     lines += [[p.name, *plainly(p.half, p.unit)] for p in study.parameters]
     blocks = [study.name, table(lines)]
     if study.cell is not None:
-        blocks.append(
-            f"the sheet is non-uniform: the study is of the uniform sheet of cell ({study.cell[0]}, "
-            f"{study.cell[1]}), the worst of {study.tried} tried"
-        )
+        blocks.append(f"the sheet is non-uniform: the study is of the uniform sheet of {study.of_cell}")
     for measure in RANKED:
         blocks += _measure_blocks(study, measure, *WORDS[measure])
     blocks.append(_yield_text(study))
     return "\n".join(blocks)
+
+
+TIGHTER = 0.6
+"""Factor of a tolerance whose gain in yield is printed."""
+
+
+def _brief(study: Study) -> Brief:
+    """Yield; the limits that most sheets miss, the errors that matter most, what tighter tolerances give."""
+    from clacad.base.text import bound, plainly
+    from clacad.verification.tolerance.study import RANKED, yield_if_tighter
+
+    missed, count = study.misses(), len(study.measures)
+    limits = sorted(
+        (one for one in study.limits if missed[one.measure]), key=lambda one: -missed[one.measure]
+    )
+    rows = [
+        (
+            "missed by",
+            f"{missed[one.measure]} of {count}",
+            f"{one.measure} {bound(one.relation, *plainly(one.value, study.units[one.measure], 4))}",
+        )
+        for one in limits[:3]
+    ]
+    already = study.nominal_misses()
+    rows += [("missed by", "the sheet as designed", ", ".join(already))] if already else []
+    rows += [("of", study.of_cell, "")] if study.of_cell else []
+    worst: dict[str, tuple[float, str]] = {}
+    for measure in [one for one in RANKED if missed.get(one)] or RANKED:
+        for name, _, share in study.ranking(measure):
+            worst[name] = max(worst.get(name, (LEAST, "")), (share, measure))
+    ranked = sorted(worst.items(), key=lambda one: -one[1][0])[:3]
+    errors = [
+        ("error", name, f"{percent_text(share, 2)} of the change of {measure}")
+        for name, (share, measure) in ranked
+        if measure
+    ]
+    halves = {one.key: one for one in study.parameters if one.half}
+    gains = [(gain, key) for key in halves if (gain := yield_if_tighter(study, key, TIGHTER)) is not None]
+    for gain, key in sorted(gains, key=lambda pair: -pair[0])[:3]:
+        half, unit = halves[key].half, halves[key].unit
+        now, then = (" ".join(filter(None, plainly(value, unit, 3))) for value in (half, TIGHTER * half))
+        errors.append(("tighten", key, f"from {now} to {then}: yield {percent_text(gain, 1, fixed=True)}"))
+    head = f"{study.name}: {_yield(study)}" if count else f"{study.name}: no sheets drawn"
+    return Brief(head, (facts(rows), facts(errors)), (), _yield(study))
+
+
+def _yield(study: Study) -> str:
+    """Share of good sheets with its 95 % interval; "" where none were drawn."""
+    if not len(study.measures):
+        return ""
+    share, low, high = study.yields()
+    least, most = (percent_text(end, 1, fixed=True, unit="") for end in (low, high))
+    of = f"of {len(study.measures)} sheets"
+    return f"yield {percent_text(share, 1, fixed=True)} {of} (95 %: {least} to {most})"
 
 
 def _measure_blocks(study: Study, measure: str, title: str, factor: float) -> Iterator[str]:
@@ -190,23 +253,17 @@ def _change(value: float) -> str:
 
 def _yield_text(study: Study) -> str:
     from clacad.base.text import bound, plainly
-    from clacad.verification.tolerance.light_measures import MEASURES
 
-    share, low, high = study.yields()
     missed = study.misses()
     rows = [["a good sheet keeps", "limit", "sheets that miss it", "from"]]
     for limit in study.limits:
-        text = bound(limit.relation, *plainly(limit.value, MEASURES[limit.measure]))
+        text = bound(limit.relation, *plainly(limit.value, study.units[limit.measure]))
         rows.append([limit.measure, text, str(missed[limit.measure]), limit.source])
     text = table(rows)
     nominal = study.nominal_misses()
     if nominal:
         text += f"\nthe sheet as designed already misses: {', '.join(nominal)}"
-    if len(study.measures):
-        text += f"\nyield {percent_text(share, 1, fixed=True)} of {len(study.measures)} sheets "
-        least, most = (percent_text(end, 1, fixed=True, unit="") for end in (low, high))
-        text += f"(95 %: {least} to {most})"
-    return text
+    return "\n".join(filter(None, (text, _yield(study))))
 
 
 def sweep_text(found: Sweep) -> str:
@@ -232,6 +289,20 @@ def sweep_text(found: Sweep) -> str:
             [*(str(row[key]) for key in keys), row["state"], *_optics(row), row["failed"] or row["message"]]
         )
     return f"{found.name}; angles in mrad\n{_light(found)}\n{table(lines)}"
+
+
+def _sweep_brief(found: Sweep) -> Brief:
+    """Number of points that pass; errors, throughput and problem of each."""
+    keys = [key for key, _ in found.axes]
+    rows = [[*keys, "state", "law rms", "law bias", "throughput", "ghosts", ""]]
+    for row in found.rows:
+        law_rms, law_bias, _, throughput, _, _, _, ghosts = _optics(row)
+        wrong = str(row["failed"] or row["message"])
+        values = (str(row[key]) for key in keys)
+        rows.append([*values, row["state"], law_rms, law_bias, throughput, ghosts, wrong])
+    good = sum(row["state"] == "ok" for row in found.rows)
+    head = f"{found.name}: {good} of {len(found.rows)} points are ok; angles in mrad"
+    return Brief(head, (facts(rows), [("light", f"  {_light(found).splitlines()[0]}")]))
 
 
 def _light(found: Sweep) -> str:

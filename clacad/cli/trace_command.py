@@ -9,10 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from clacad.base.text import mrad_text, short_size_text
+from clacad.base.text import count_text, mrad_text, short_size_text
+from clacad.cli.brief import Brief, facts
 from clacad.cli.command import (
     Command,
     OfDesign,
@@ -35,7 +37,7 @@ from clacad.cli.option_values import (
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.effects import Plan
+    from clacad.effects.engine.plan import Plan
     from clacad.formats.ray_file import RayFile
     from clacad.scene import Scene
     from clacad.waves import WaveReport
@@ -80,9 +82,14 @@ def run_trace(request: Trace, console: Console) -> int:
 
         write_file(request.out, write, overwrite=request.overwrite)
     rows = [(name, str(n), f"{n / max(1, rays.count):.4%}") for name, n in counts.items() if n]
+    alive = counts.get("ALIVE", 0) / max(1, rays.count)
     console.show(
         lambda: {"rays": rays.count, "fates": counts, "rung": request.rung, "file": str(request.out)},
         lambda: f"{rays.count} rays, rung {request.rung} -> {request.out}\n{table(rows)}",
+        lambda: Brief(
+            f"{design.name}: {alive:.4g} of {count_text(rays.count, 'ray')} pass, rung {request.rung}",
+            (facts(rows), [("file", f"  wrote {request.out}")]),
+        ),
     )
     return 0
 
@@ -234,6 +241,7 @@ def run_wave(request: Wave, console: Console) -> int:
     console.show(
         lambda: found.to_dict() | {"forecast": ahead, "file": written},
         lambda: wave_text(found) + ("" if written is None else f"\nwrote {written}"),
+        lambda: _wave_brief(found, written),
     )
     return 0
 
@@ -243,6 +251,18 @@ def _forecast_text(ahead: dict[str, float]) -> str:
         f"{ahead['rays']:.0f} x {ahead['rays']:.0f} rays, a grid of {ahead['points']:.0f} points a side, "
         f"about {ahead['seconds']:.2g} s of processor time, {short_size_text(ahead['bytes'])} of memory; "
         "nothing is written"
+    )
+
+
+def _wave_brief(found: WaveReport, written: str | None) -> Brief:
+    """Numbers of waves and rays, a column each."""
+    from clacad.waves.wave_report import HEAD, head, rows, sentences
+
+    columns = zip_longest(HEAD, *rows(found), fillvalue="")
+    notes = [("note", f"  {text}") for text in sentences(found)]
+    lines = [("file", f"  wrote {written}")] if written is not None else []
+    return Brief(
+        f"{found.design}: {head(found)}", (facts([*columns, ("angles in mrad, lens x, y", "")]), notes, lines)
     )
 
 
@@ -296,7 +316,7 @@ def run_effects(request: Effects, console: Console) -> int:
     plan = _planned(
         lambda: plan_effects(target, exact=request.exact, force=request.force, without=request.without)
     )
-    console.show(plan.to_dict, lambda: plan_text(plan))
+    console.show(plan.to_dict, lambda: plan_text(plan), lambda: _plan_brief(plan))
     return 0
 
 
@@ -314,6 +334,7 @@ def _show_sheets(scene: Scene, request: Effects, console: Console) -> int:
     console.show(
         lambda: {"sheets": [{"id": name, **plan.to_dict()} for name, plan in named]},
         lambda: "\n\n".join(f"sheet {name}\n{plan_text(plan)}" for name, plan in named),
+        lambda: Brief(f"{count_text(len(named), 'sheet')}", (facts((n, one.summary()) for n, one in named),)),
     )
     return 0
 
@@ -357,6 +378,24 @@ def plan_text(plan: Plan) -> str:
             plan.summary(),
         ]
     )
+
+
+def _plan_brief(plan: Plan) -> Brief:
+    """What is simulated and left out; each effect that matters or is not bounded; names of the others."""
+    shown = [row for row in plan.rows if row.state != "off"]
+    rows = [
+        (
+            row.effect,
+            SIGNS[row.state],
+            _amount(1e3 * row.angle, " mrad"),
+            _amount(1e2 * row.radiance, " %"),
+            row.why,
+        )
+        for row in shown
+    ]
+    off = ", ".join(row.effect for row in plan.rows if row.state == "off")
+    cost = f"{plan.cost:.3g} x the bare trace"
+    return Brief(plan.summary(), (facts(rows), facts([("not needed", off), ("predicted time", cost)])))
 
 
 def _amount(value: float, unit: str) -> str:

@@ -8,13 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, declared, flag, option
-from clacad.cli.console import Console, Progress
+from clacad.cli.console import Console, Progress, table
 from clacad.cli.option_values import BadOption, load_counted, parse_angle, parse_cells, per_format
 
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.judging.delivery import Delivery
+    from clacad.measuring.measure import Maps
     from clacad.verification import Report
 
 
@@ -41,6 +43,14 @@ class Verify(OfDesign):
         (),
     )
     overwrite: bool = declared("overwrite")
+    also: tuple[Path, ...] = option("[FILE]...", "A second map of the part, after --files MAP.", ())
+    side: tuple[str, ...] = option("--side FILE=front|back", "Side that a map shows; else by its name.", ())
+    z_scale: str | None = option("--z-scale TEXT", "Scale of a map's heights, e.g. '1.0063 +- 1e-4'.")
+    lateral_scale: str | None = option("--lateral-scale TEXT", "Lateral scale of a map.")
+    tilted: Path | None = option(
+        "--tilted MAP", "A map of the same field tilted by 8 deg: gives the z scale."
+    )
+    unit: str | None = option("--unit WORD", "Length unit of a cloud x y z that states none, e.g. um.")
 
 
 def run(request: Verify, console: Console) -> int:
@@ -55,17 +65,21 @@ def run(request: Verify, console: Console) -> int:
 
     written: list[Path] = []
     with console.progress() as progress:
-        delivery, rays = _subjects(design, request)
+        maps = _maps(request)
+        delivery, rays = (None, request.rays) if maps is not None else _subjects(design, request)
         if request.out is not None:
             require_folder(request.out)
         with _announced(rays, delivery, request, progress, console):
-            report = _judged(design, delivery, rays, request, progress)
+            report = _judged(design, delivery, maps, rays, request, progress)
             if request.out is not None:
                 report = report.with_evidence(progress)
                 written = _write(report, request.out, request, progress)
-    console.show(report.to_dict, lambda: _text(report, design.name))
-    if written:
-        console.say("report: " + ", ".join(str(p) for p in written))
+    paths = ", ".join(map(str, written))
+    console.show(
+        report.to_dict,
+        lambda: _text(report, design.name, paths),
+        lambda: _brief(report, design.name, paths),
+    )
     return report.exit_status
 
 
@@ -91,15 +105,48 @@ def _announced(
         yield
 
 
+def _maps(request: Verify) -> Maps | None:
+    """The height maps of a measured part among the files; None where they are files of another kind."""
+    files = [] if request.files is None else [request.files, *request.also]
+    stated = [request.z_scale, request.lateral_scale, request.tilted, request.unit, *request.side]
+    scan = per_format("--role", request.role) == "scan"
+    only = any(one is not None for one in stated) or len(files) > 1
+    if not files or not (scan or only):
+        if request.also:
+            raise BadOption(f"{request.also[0]}: a word too many; files are given with --files")
+        return None
+    from clacad.measuring.measure import Maps, maps_of
+    from clacad.measuring.read_map import ENDINGS, is_map
+
+    if not only and not is_map(files[0]):
+        return None
+    if not scan or any(path.suffix.lower() not in ENDINGS for path in files):
+        raise BadOption(
+            f"scales, sides and several files are of height maps ({', '.join(ENDINGS)}): --role scan"
+        )
+    if request.target is not None or request.cells is not None:
+        raise BadOption("--target and --cells are not for height maps")
+    sides = per_format("--side", request.side) or {}
+    if isinstance(sides, str):
+        raise BadOption(f"--side {sides}: it is FILE=front or FILE=back")
+    given = Maps(None, None, request.tilted, request.z_scale, request.lateral_scale, request.unit)
+    return maps_of(files, sides, given)
+
+
 def _judged(
-    design: Design, delivery: Delivery | None, rays: int, request: Verify, progress: Progress
+    design: Design,
+    delivery: Delivery | None,
+    maps: Maps | None,
+    rays: int,
+    request: Verify,
+    progress: Progress,
 ) -> Report:
     """The report, by the target if one is given; the verdict of the design alone is printed at once."""
     from clacad.verification.run import judged_by, verified
 
-    steps = verified(design, delivery, request.cells, rays, progress)
+    steps = verified(design, delivery, request.cells, rays, progress, maps)
     report = next(steps)
-    if delivery is not None:
+    if delivery is not None or maps is not None:
         progress.say(f"the design itself {report.verdict()}; now its files")
     for whole in steps:
         report = whole
@@ -110,21 +157,72 @@ def _write(report: Report, out: Path, request: Verify, progress: Progress) -> li
     """Write page, numbers and maps of measured parts; their paths."""
     from clacad.report import write_report
 
+    more = []
+    if report.measured is not None:
+        from clacad.report.measured_section import measured_section
+
+        more = [measured_section(report.measured)]
     written = write_report(
-        report, out, overwrite=request.overwrite, progress=progress, pdf=request.pdf, timings=request.timings
+        report,
+        out,
+        overwrite=request.overwrite,
+        progress=progress,
+        more=more,
+        pdf=request.pdf,
+        timings=request.timings,
     )
-    return [*written, *_deviations(report, out, request.overwrite)]
+    return [
+        *written,
+        *_measured(report, out, request.overwrite),
+        *_deviations(report, out, request.overwrite),
+    ]
 
 
-def _text(report: Report, name: str) -> str:
+def _measured(report: Report, out: Path, overwrite: bool) -> list[Path]:
+    """Numbers, table and deviation maps of a part measured by height maps."""
+    if report.measured is None:
+        return []
+    from clacad.measuring.write_measured import write_measured
+
+    return write_measured(report.measured, out, overwrite=overwrite)
+
+
+def _text(report: Report, name: str, paths: str) -> str:
     """Checks, verdicts and the final verdict."""
-    from clacad.cli.tables import checks_text, verdicts_text
+    from clacad.cli.tables import checks_text
     from clacad.verification.light.viewed import headline
 
     first = headline(report.checks)
     lines = [name, *([f"  {first}"] if first else []), checks_text(report.checks)]
-    lines += [verdicts_text(report.verdicts)] if report.verdicts else []
+    lines += [table([one.row() for one in report.verdicts])] if report.verdicts else []
+    lines += [_part(report)] if report.measured is not None else []
+    lines += [f"report: {paths}"] if paths else []
     return "\n".join([*lines, report.verdict()])
+
+
+def _part(report: Report) -> str:
+    """Table of a measured part next to the design, and its scales."""
+    from clacad.measuring.measured import iso_rows
+
+    part = report.measured
+    assert part is not None
+    scales = f"  scale of heights {part.z_scale}; lateral scale {part.lateral_scale}"
+    return "\n".join([table([("as measured", "unit", "design", "measured"), *iso_rows(part)]), scales])
+
+
+def _brief(report: Report, name: str, paths: str) -> Brief:
+    """The share of light for the viewer, one line a file, failures and warnings with remedies."""
+    from clacad.cli.tables import counted, problems
+    from clacad.verification.light.viewed import headline
+
+    word = report.verdict()
+    rows = [*facts([("light", headline(report.checks))]), *facts(one.row() for one in report.verdicts)]
+    if report.measured is not None:
+        from clacad.measuring.measured import facts_of
+
+        rows += facts(facts_of(report.measured))
+    lists = rows, problems(report.checks), facts([("report", paths)])
+    return Brief(f"{name}: {word}", lists, (), word, counted(report.checks))
 
 
 def _deviations(report: Report, out: Path, overwrite: bool) -> list[Path]:

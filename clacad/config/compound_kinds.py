@@ -17,17 +17,10 @@ from clacad.config.value_kinds import JsonSchema, Kind, Refusal, not_this, shown
 class Several:
     """A list of one value per name, all of one kind.
 
-    Parameters
-    ----------
-    kind : Kind
-    names : tuple of str
-    single : bool
-        Whether one value may represent all of them.
-    not_all : tuple of float
-        Values that may not occupy every position; given such a value in place of a list, the hint is
+    single : Whether one value may represent all of them.
+    not_all : Values that may not occupy every position; given such a value in place of a list, the hint is
         `example`.
-    alone : bool
-        Whether a single value is read as itself, not as a tuple of equal values.
+    alone : Whether a single value is read as itself, not as a tuple of equal values.
     """
 
     kind: Kind
@@ -86,8 +79,6 @@ class Several:
 def each(readers: Iterable[tuple[int | str, Kind, object]], unit: Unit) -> list[Any]:
     """Read the elements of a list or table; the raised refusal carries all faults, not only the first.
 
-    Parameters
-    ----------
     readers : iterable of (index or key, kind, written value)
     unit : Unit
     """
@@ -189,13 +180,9 @@ class Record:
 class OneOf:
     """A table with exactly one of several keys.
 
-    Parameters
-    ----------
     kinds : tuple of (key, Kind)
-    made : callable
-        Result from key and value.
-    parts : callable
-        Key and value from a result.
+    made : Result from key and value.
+    parts : Key and value from a result.
     """
 
     kinds: tuple[tuple[str, Kind], ...]

@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 def parse(text: str) -> tuple[str, Any] | Mistake:
     """Split "key.path=value"; the value is read as TOML, or as plain text where it is not TOML.
 
-    Returns
-    -------
-    (key, value) or Mistake
+    Returns (key, value) or Mistake.
     """
     key, equals, value = text.partition("=")
     key, value = key.strip(), value.strip()
@@ -61,13 +59,8 @@ def apply(
 ) -> tuple[dict[str, Any], list[tuple[KeyPath, str]], list[Mistake]]:
     """Apply overrides to the data of a file.
 
-    Parameters
-    ----------
-    data : mapping
-    texts : sequence of str
-        "key.path=value" each, applied in order.
-    put_key : callable
-        As `put_dotted`.
+    texts : "key.path=value" each, applied in order.
+    put_key : As `put_dotted`.
 
     Returns
     -------
@@ -99,10 +92,7 @@ def apply(
 def with_changes(data: Any, changes: Mapping[str, Any], put_key: Put, path: str) -> Any:
     """Data with dotted keys changed by a program; `path` is the file's name in messages.
 
-    Raises
-    ------
-    DesignError
-        A key leads nowhere.
+    Raises DesignError: A key leads nowhere.
     """
     mistakes = []
     for key, value in changes.items():
@@ -118,10 +108,7 @@ def with_changes(data: Any, changes: Mapping[str, Any], put_key: Put, path: str)
 def changed_keys(changes: Mapping[str, Any] | str, value: Any) -> Mapping[str, Any]:
     """Changes of keys as a mapping, from a mapping or from one dotted key and its value.
 
-    Raises
-    ------
-    TypeError
-        The arguments are neither.
+    Raises TypeError: The arguments are neither.
     """
     if isinstance(changes, str):
         return {changes: value}
@@ -138,10 +125,7 @@ def put_dotted(data: Any, key: str, value: Any) -> Any:
 def put(data: Any, path: KeyPath, value: Any, done: KeyPath = ()) -> Any:
     """Return the data with one value replaced; missing tables are created, lists are never extended.
 
-    Raises
-    ------
-    LookupError
-        The path leads through a value without such a part; the message is one sentence.
+    Raises LookupError: The path leads through a value without such a part; the message is one sentence.
     """
     if not path:
         return value
@@ -187,19 +171,11 @@ def to_toml(data: Mapping[str, Any]) -> str:
 def with_values(text: str, changes: Mapping[str, Any], *, is_json: bool = False) -> str:
     """Change values in a valid text, and add missing ones.
 
-    Parameters
-    ----------
-    text : str
-        TOML, or JSON.
-    changes : mapping
-        Value by dotted key; applied in order.
-    is_json : bool
-        Whether the text is JSON, which is written from scratch in the same order, with its indent.
-
-    Raises
-    ------
-    LookupError
-        A key leads through a value, past the end of a list, or to a table that has lines of its own.
+    text : TOML, or JSON.
+    changes : Value by dotted key; applied in order.
+    is_json : Whether the text is JSON, which is written from scratch in the same order, with its indent.
+    Raises LookupError: A key leads through a value, past the end of a list, or to a table that has lines of
+        its own.
     """
     if is_json:
         data = json.loads(text)

@@ -51,20 +51,12 @@ def head_keys(name: str, unit: str, notes: str) -> dict[str, Key]:
 class FileForm:
     """All keys of one kind of file.
 
-    Parameters
-    ----------
-    root : mapping
-        Keys before the first section.
-    sections : mapping
-        Section → its keys.
-    optional : tuple of str
-        Sections that may be left out.
-    synonyms : mapping
-        Other name of a key → its name, or its dotted path.
-    elsewhere : mapping
-        Sections of another kind of file → (the file they belong in, key that refers to it or "").
-    lists : mapping
-        Lists of tables at the top of the file → their keys.
+    root : Keys before the first section.
+    sections : Section → its keys.
+    optional : Sections that may be left out.
+    synonyms : Other name of a key → its name, or its dotted path.
+    elsewhere : Sections of another kind of file → (the file they belong in, key that refers to it or "").
+    lists : Lists of tables at the top of the file → their keys.
     """
 
     root: Keys
@@ -84,14 +76,9 @@ class FileForm:
     def suggestion(self, where: str, name: str, here: Keys | None = None) -> str:
         """Return the dotted key a person probably meant, "" if none is near.
 
-        Parameters
-        ----------
-        where : str
-            Dotted key of the table that contains the unknown key, "" for the top level.
-        name : str
-            The unknown key.
-        here : mapping, optional
-            Keys of that table; those of the section by default.
+        where : Dotted key of the table that contains the unknown key, "" for the top level.
+        name : The unknown key.
+        here : optional. Keys of that table; those of the section by default.
         """
         known = self._known(where, here)
         dot = f"{where}." if where else ""
@@ -129,11 +116,7 @@ class FileForm:
 class KeyReader:
     """Reads the tables of one file and collects the mistakes.
 
-    Parameters
-    ----------
-    form : FileForm
-    unit : Unit or None
-        Unit of bare lengths; None if the file states none that can be read.
+    unit : Unit or None. Unit of bare lengths; None if the file states none that can be read.
     """
 
     form: FileForm
@@ -231,15 +214,9 @@ def document(
 ) -> JsonSchema:
     """Schema of a whole file; unknown keys are refused.
 
-    Parameters
-    ----------
-    title : str
-    properties : dict
-        Schema of each key and section at the top.
-    required : list of str
-        Those that must be there.
-    definitions : mapping
-        Schemas that `properties` refer to.
+    properties : Schema of each key and section at the top.
+    required : Those that must be there.
+    definitions : Schemas that `properties` refer to.
     """
     made: JsonSchema = {"title": title, "type": "object", "required": required, "additionalProperties": False}
     made |= {"properties": properties, "$defs": dict(sorted(definitions.items()))}

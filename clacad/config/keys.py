@@ -22,21 +22,14 @@ REQUIRED: Final = object()
 class Key:
     """One key of a file.
 
-    Parameters
-    ----------
-    kind : Kind
-        Reads and writes the value and makes its JSON Schema; it knows the unit of a bare number.
-    about : str
-        Meaning, one line.
-    default : object
-        Converted value of an absent key; `REQUIRED` if the key must be written.
-    later : bool
-        Whether the key is younger than the first canonical texts: it is absent from them at its default, so
-        that the hashes of older designs stay.
+    kind : Reads and writes the value and makes its JSON Schema; it knows the unit of a bare number.
+    about : Meaning, one line.
+    default : Converted value of an absent key; `REQUIRED` if the key must be written.
+    later : Whether the key is younger than the first canonical texts: it is absent from them at its default,
+        so that the hashes of older designs stay.
     written : callable or None
         Value to write, from the whole record and the field's value; a result of None leaves the key out.
-    attribute : str
-        Name of the field; "" for a key outside a dataclass.
+    attribute : Name of the field; "" for a key outside a dataclass.
     """
 
     kind: Kind
@@ -58,10 +51,7 @@ def key(
 ) -> Any:
     """Field of a dataclass that is a key of a file; see `Key`.
 
-    Parameters
-    ----------
-    name : str
-        Name of the key in the file, if it is not that of the field.
+    name : Name of the key in the file, if it is not that of the field.
     """
     metadata = {"name": name, "key": Key(kind, about, default, later, written)}
     return field(metadata=metadata) if default is REQUIRED else field(default=default, metadata=metadata)
@@ -103,11 +93,7 @@ def written(record: Any, unit: Unit) -> dict[str, Any]:
 class KeyPaths:
     """Dotted paths of the keys of a section: `KeyPaths("pair", keys).separation` is "pair.separation".
 
-    Parameters
-    ----------
-    section : str
-    names : iterable of str
-        Names of the keys of the section.
+    names : Names of the keys of the section.
     """
 
     def __init__(self, section: str, names: Iterable[str]) -> None:

@@ -173,16 +173,10 @@ def located(
 ) -> list[Mistake]:
     """Add its position to each mistake: the override that set its key, else the file.
 
-    Parameters
-    ----------
-    mistakes : iterable of Mistake
-        Mistakes found so far, with keys.
-    text : str or None
-        The file's text; None for a design given as a dictionary.
-    path : str
-        The file's name.
-    overrides : sequence of (key path, text)
-        Overrides in the order they were applied.
+    mistakes : Mistakes found so far, with keys.
+    text : The file's text; None for a design given as a dictionary.
+    path : The file's name.
+    overrides : sequence of (key path, text). Overrides in the order they were applied.
     """
     listed = list(mistakes)
     places = find(text, path) if text is not None and listed else None

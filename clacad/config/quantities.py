@@ -1,4 +1,4 @@
-"""A number of one family (length, angle, wavelength, ratio), bare or as text with a unit."""
+"""A number of one family (length, angle, wavelength, ratio, temperature), bare or as text with a unit."""
 
 from __future__ import annotations
 
@@ -20,19 +20,12 @@ SMALLEST_M: Final = 1e-12
 class Quantity:
     """A number of one family, bare or as text with a unit.
 
-    Parameters
-    ----------
-    family : {"length", "angle", "wavelength", "ratio"}
-    what : str
-        Text for messages: "a length > 0".
-    above, least, most : float
-        The value must be > `above`, >= `least` and <= `most` (in the units of the result).
-    degrees : bool
-        Angles only: the result is in degrees, not radians.
-    bare : bool
-        Whether a number without a unit is accepted.
-    named : bool
-        Lengths only: whether the written value names its unit even if a bare number is accepted.
+    family : {"length", "angle", "wavelength", "ratio", "temperature"}
+    what : Text for messages: "a length > 0".
+    above, least, most : The value must be > `above`, >= `least` and <= `most` (in the units of the result).
+    degrees : Angles only: the result is in degrees, not radians.
+    bare : Whether a number without a unit is accepted.
+    named : Lengths only: whether the written value names its unit even if a bare number is accepted.
     """
 
     family: units.Family
@@ -69,6 +62,8 @@ class Quantity:
             return units.nanometres(value)
         if self.family == "angle" and not self.degrees:
             return f"{value!r} rad"
+        if self.family == "temperature":
+            return f"{value!r} {units.KELVIN}"
         if self.family == "length" and (self.named or not self.bare):
             return _length_text(value, unit.name)
         return value
@@ -80,6 +75,7 @@ class Quantity:
             "angle": "deg",
             "wavelength": "nm",
             "ratio": "",
+            "temperature": "",
         }[self.family]
         if self.family == "ratio":
             return self.what
@@ -105,7 +101,7 @@ class Quantity:
         except OverflowError:
             raise self._refused("CL106", "is out of range", value, unit) from None
         if not self.bare:
-            number_text, words = shown(value), {"angle": ("mrad", "deg")}.get(self.family, (unit.name, "um"))
+            number_text, words = shown(value), _WORDS.get(self.family, (unit.name, "um"))
             hint = " or ".join(f'"{number_text} {word}"' for word in words if not word[0].isdigit())
             hint = f"write {hint}, whichever you mean"
             raise self._refused("CL105", "has no unit", value, unit, hint)
@@ -150,13 +146,16 @@ class Quantity:
             return units.in_design_units(number, word, unit)
         if self.family == "wavelength":
             return units.in_metres(number, word)
-        if self.family == "ratio":
-            return float(number * units.PERCENT[word])
+        if self.family in ("ratio", "temperature"):
+            return float(number * units.PERCENT.get(word, 1))
         return units.in_degrees(number, word) if self.degrees else units.in_radians(number, word)
 
     def _refused(self, code: str, complaint: str, value: object, unit: Unit, hint: str = "") -> Refusal:
         return Refusal(code, complaint, value, self.allowed(unit), hint)
 
+
+_WORDS: Final = {"angle": ("mrad", "deg"), "temperature": (units.KELVIN,)}
+"""Units that the hint of a number without one suggests; of a length the unit of the file and um."""
 
 LENGTH: Final = Quantity("length", "a length")
 LENGTH_ABOVE_0: Final = Quantity("length", "a length > 0", above=0.0)
@@ -186,6 +185,7 @@ def _pattern(family: units.Family) -> str:
         "wavelength": list(units.LENGTHS),
         "angle": [*units.DEGREES, *units.RADIANS],
         "ratio": list(units.PERCENT),
+        "temperature": [units.KELVIN],
     }[family]
     return r"^\s*[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]{1,3})?\s*(" + "|".join(words) + r")\s*$"
 

@@ -16,15 +16,7 @@ from typing import Any, Final, NoReturn
 
 from clacad.base.text import DEEPEST, beyond_64_bits, did_you_mean, near, plain
 from clacad.base.untrusted_files import BUDGETS, read_regular
-from clacad.config.mistakes import (
-    DesignError,
-    Mistake,
-    Place,
-    design_error,
-    find,
-    syntax_place,
-    too_large,
-)
+from clacad.config.mistakes import DesignError, Mistake, Place, design_error, find, syntax_place, too_large
 from clacad.config.value_kinds import kind_of
 
 LARGEST_FILE: Final = BUDGETS["design"].bytes
@@ -34,11 +26,9 @@ MOST_MARKS: Final = BUDGETS["design"].items or 0
 def read_text(name: str, what: str = "design") -> str:
     """Read a UTF-8 text of at most 1 MB and 200,000 lines and keys; a larger file is refused unread.
 
-    Raises
-    ------
-    DesignError
-        With one mistake: no such file; a pipe, device or folder in place of a file; not UTF-8.
-    DesignTooLarge
+    Raises DesignError: With one mistake: no such file; a pipe, device or folder in place of a file; not
+        UTF-8.
+    Raises DesignTooLarge.
     """
     try:
         raw = read_regular(name, LARGEST_FILE)
@@ -89,10 +79,8 @@ def _nearest_file(name: str) -> str:
 def parse(text: str, name: str, what: str = "design") -> dict[str, Any]:
     """Parse TOML (JSON, if the name ends in .json) into nested dictionaries.
 
-    Raises
-    ------
-    DesignError
-        With one mistake: the first syntax error, nesting beyond 64 levels, a duplicate JSON key.
+    Raises DesignError: With one mistake: the first syntax error, nesting beyond 64 levels, a duplicate JSON
+        key.
     """
     is_json = name.lower().endswith(".json")
     _refuse_deep_keys(text, name)
@@ -128,10 +116,8 @@ def parse(text: str, name: str, what: str = "design") -> dict[str, Any]:
 def toml_value(text: str) -> Any:
     """Read one value in TOML syntax; a leading 0 before the decimal point may be left out.
 
-    Raises
-    ------
-    ValueError
-        The text is no value, or holds an integer of more than 64 bits, which TOML does not have.
+    Raises ValueError: The text is no value, or holds an integer of more than 64 bits, which TOML does not
+        have.
     """
     try:
         text = re.sub(r"^([+-]?)[.](?=[0-9])", r"\g<1>0.", text)
@@ -205,10 +191,7 @@ def too_deep(data: Any) -> bool:
 def given_table(data: object, what: str = "design") -> dict[str, Any]:
     """Nested dictionaries as a file of that kind would give them.
 
-    Raises
-    ------
-    DesignError
-        The data are no dictionary, or nested more than 64 levels deep.
+    Raises DesignError: The data are no dictionary, or nested more than 64 levels deep.
     """
     given = plain(data, float)
     if not isinstance(given, dict):
@@ -228,13 +211,8 @@ def outside(folder: str, name: str, levels: int = 0, whose: str = "design") -> s
 
     Links are resolved first, so that none leads out.
 
-    Parameters
-    ----------
-    folder, name : str
-    levels : int
-        Number of parent folders that may be reached.
-    whose : str
-        Kind of the file that contains the name, for the message.
+    levels : Number of parent folders that may be reached.
+    whose : Kind of the file that contains the name, for the message.
     """
     if os.path.isabs(name) or "\0" in name or (len(name) > 1 and name[1] == ":"):
         return "is not a relative path"

@@ -24,23 +24,13 @@ FORMAT: Final = 1
 class Refusal(ValueError):
     """A value is refused by the kind of its key.
 
-    Parameters
-    ----------
-    code : str
-        Stable code of the mistake.
-    complaint : str
-        The fault, worded to follow "pair.index = 0.9 ".
-    value : object
-        The value found (an element of a list if only that element is wrong).
-    allowed, hint : str
-        Allowed values; the nearest way out.
-
-    Attributes
-    ----------
+    code : Stable code of the mistake.
+    complaint : The fault, worded to follow "pair.index = 0.9 ".
+    value : The value found (an element of a list if only that element is wrong).
+    allowed, hint : Allowed values; the nearest way out.
     where : tuple of int or str
         Path to the wrong element of a list or key of a table; extended while the exception propagates.
-    others : tuple of Refusal
-        Further faults in the same list or table.
+    others : tuple of Refusal. Further faults in the same list or table.
     """
 
     def __init__(self, code: str, complaint: str, value: object, allowed: str, hint: str = "") -> None:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 
+from clacad.base.types import Floats, Pair2
 from clacad.config.mistakes import DesignError
 from clacad.design.cell_table import read_table
 from clacad.design.combinations import ETAS, FEATURES, why_not
 from clacad.design.read import values_of
 from clacad.design.sections import LatticeSpec, LawSpec, PairSpec
-from clacad.design.varying import gradient_of
+from clacad.design.varying import Planes, gradient_of
 from clacad.optics.law import Law
-from clacad.sheet.cell_places import CellLaws
+from clacad.sheet.cell_places import CellLaws, as_table
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 
 
@@ -78,21 +80,46 @@ def lattice_of(design: Requested) -> Lattice:
 def cell_laws(design: Requested) -> CellLaws:
     """The law of each cell.
 
-    Raises
-    ------
-    DesignError
-        The table cannot be read, or it has η together with a feature that excludes η per cell.
+    Raises DesignError: The table cannot be read, or it has η together with a feature that excludes η per
+        cell.
     """
     law, spec = design.law, design.law_spec.varying
     if spec is None:
-        return CellLaws(law)
+        if design.pair.focus is None or law.theta == 0.0:
+            return CellLaws(law)
+        return CellLaws(law, table=_inclined_deltas(design, design.pair.focus))
     if spec.table is not None:
         found = read_table(design.path, spec.table, lattice_of(design), law.eta_x)
         if found.etas is not None:
             refuse_beside_etas(design)
         return CellLaws(law, table=found.deltas, ratios=found.etas)
+    if spec.gradient is None and law.theta != 0.0:
+        return CellLaws(law, table=_inclined_deltas(design, spec.conjugates, spec.f_image))
     rows = np.array(gradient_of(spec, design.law_spec.eta, design.pair.separation or 0.0))
     if spec.gradient is None:  # planes are given along the lens axes
         rows = rows @ law.rotation[:2, :2].T
     (xx, xy), (yx, yy) = rows.tolist()
     return CellLaws(law, ((xx, xy), (yx, yy)))
+
+
+def _inclined_deltas(design: Requested, planes: Planes | None, f_image: Pair2 | None = None) -> Floats:
+    """δ (n1, n2, 2) of the cells of a sheet inclined to its lenses, which image one point of the axis to one
+    behind the sheet.
+
+    Planes lie across the lens axis, so each cell has its own distances. A chief ray of slope t through the
+    centre c of lens 1, lens frame, reaches lens 2 at c + s t and leaves with t' = (t − δ)/η to the image.
+    """
+    law, eta = design.law, np.array(design.law_spec.eta)
+    lattice = replace(lattice_of(design), outline=None)
+    centres = lattice.centres(cells := lattice.cells())
+    x, y, z = (np.column_stack([centres, np.zeros(len(centres))]) @ law.rotation).T
+    across, separation = np.column_stack([x, y]), design.pair.separation or 0.0
+    image = np.array(f_image if planes is None else (planes.image, planes.image))
+    apart = z - (-np.inf if planes is None else planes.object)
+    slope = across / apart[:, None]
+    deltas = slope + np.array(design.law_spec.delta)
+    for axis in np.flatnonzero(np.isfinite(image)):
+        reach = image[axis] - z
+        arrival = across[:, axis] + separation * slope[:, axis]
+        deltas[:, axis] += (eta[axis] * arrival + design.law_spec.delta[axis] * z) / reach
+    return as_table(lattice, cells, deltas)

@@ -97,12 +97,7 @@ class _Point(WrittenAsRead):
 
     def schema(self) -> JsonSchema:
         """Return the JSON Schema of a short array."""
-        return {
-            "type": "array",
-            "items": LENGTH.schema(),
-            "minItems": 2,
-            "maxItems": 3 if self.bulges else 2,
-        }
+        return {"type": "array", "items": LENGTH.schema(), "minItems": 2, "maxItems": 3 if self.bulges else 2}
 
 
 VERTICES: Final = Points(2, MOST_VERTICES, bulges=True)
@@ -168,23 +163,14 @@ def filling_count(kind: str, pitch: tuple[float, float], size: tuple[float, floa
     """Cells along the two lattice vectors that fill an outline; cells beyond it are left out later.
 
     A cell wholly inside a width w lies within ±w/2, so floor(w/p) columns centred on the origin miss none.
-    Rows of a
-    hexagonal lattice are √3/2 of the pitch apart, and their cells are 2/√3 of the pitch high. Every other row
-    is displaced by half a pitch, a quarter to either side of the centre: one more column than floor(w/p)
-    misses none.
+    Rows of a hexagonal lattice are √3/2 of the pitch apart, and their cells are 2/√3 of the pitch high. Every
+    other row is displaced by half a pitch, a quarter to either side of the centre: one more column than
+    floor(w/p) misses none.
 
-    Parameters
-    ----------
     kind : {"square", "rectangular", "hexagonal"}
-    pitch : (p_x, p_y), lengths
-        Hexagonal: centre to centre, given twice.
-    size : (width, height), lengths
-        Size of the outline; a circle's diameter twice.
-
-    Returns
-    -------
-    (n1, n2)
-        At least 1 each.
+    pitch : (p_x, p_y), lengths. Hexagonal: centre to centre, given twice.
+    size : (width, height), lengths. Size of the outline; a circle's diameter twice.
+    Returns (n1, n2): At least 1 each.
     """
     if kind == "hexagonal":
         rows = _whole((size[1] - pitch[0] * 2.0 / sqrt(3.0)) / (pitch[0] * 0.5 * sqrt(3.0))) + 1
@@ -208,13 +194,10 @@ class CornersSpec:
 class HoleSpec:
     """Through holes of one diameter. Exactly one of `at`, `circle` and `corners` gives their positions.
 
-    Parameters
-    ----------
-    diameter : float, length
+    diameter : length
     at : tuple of (x, y), lengths
-    circle : float or None, length
-        Diameter of a bolt circle about the centre of the sheet, with `count` holes, the first at the angle
-        `start` (degrees from +x).
+    circle : float or None, length. Diameter of a bolt circle about the centre of the sheet, with `count`
+        holes, the first at the angle `start` (degrees from +x).
     corners : float or None, length
         One hole in each corner of a rectangular plate, at this distance from both sides.
     """
@@ -240,15 +223,11 @@ class HoleSpec:
 
 @dataclass(frozen=True, slots=True)
 class PinsSpec:
-    """Dowel pins that align the two bodies: holes through both.
+    """Dowel pins that align the plates: holes through all.
 
-    Parameters
-    ----------
-    diameter : float, length
-        Diameter of the pin.
+    diameter : length. Diameter of the pin.
     at : tuple of (x, y), lengths
-    play : float, length
-        Excess of the hole's diameter over the pin's.
+    play : length. Excess of the hole's diameter over the pin's.
     """
 
     diameter: float = key(LENGTH_ABOVE_0, "diameter of the pins", REQUIRED)
@@ -291,7 +270,7 @@ class BodySpec:
         ListOf(Record(HoleSpec), "tables"), "round holes through every plate, in its border", ()
     )
     pins: PinsSpec | None = key(
-        Record(PinsSpec), "dowel pins that align both plates: holes through both, and their play"
+        Record(PinsSpec), "dowel pins that align the plates: holes through all, and their play"
     )
     neck: float | None = key(LENGTH_ABOVE_0, "least thickness left at a border between cells")
     baffle: bool = key(Flag(), "opaque honeycomb between the arrays", False)

@@ -48,10 +48,7 @@ class TableSpec:
 def table_path(design_path: str, file: str) -> str:
     """Path of a table named in the design at `design_path`.
 
-    Raises
-    ------
-    DesignError
-        The path leads out of the design's folder, or there is no such file.
+    Raises DesignError: The path leads out of the design's folder, or there is no such file.
     """
     folder = folder_of(design_path)
     path = os.path.join(folder, file)
@@ -72,13 +69,7 @@ def table_path(design_path: str, file: str) -> str:
 
 
 def digest(path: str) -> str:
-    """SHA-256 of a table's bytes, in hexadecimal.
-
-    Raises
-    ------
-    DesignTooLarge
-        The table has more than 1 GB.
-    """
+    """SHA-256 of a table's bytes, in hexadecimal. Raises DesignTooLarge: The table has more than 1 GB."""
     size, most = os.stat(path).st_size, BUDGETS["cell-table"].bytes
     if size > most:
         raise too_large("CL124", f"the table has {size:,} bytes", KEY, path, allowed=f"up to {most:,} bytes")
@@ -92,28 +83,13 @@ def digest(path: str) -> str:
 def read_table(design_path: str, table: TableSpec, lattice: Lattice, eta: float) -> CellNumbers:
     """δ of every cell, and η if the table has it.
 
-    Parameters
-    ----------
-    design_path : str
-        Path of the design that names the table.
-    table : TableSpec
-    lattice : Lattice
-    eta : float
-        η of the design's law, along x.
-
-    Returns
-    -------
-    CellNumbers
-        First index: the position in the row; 0 and the law's η for cells that an outline leaves out.
-
-    Raises
-    ------
-    DesignError
-        With row and column: a wrong header, a cell twice or missing, an index outside, a value that is no
-        finite number from -1e6 to 1e6, an η on another side of 0 or 1. Without: a file changed since its hash
-        was taken; an array of another shape, or pickled.
-    DesignTooLarge
-        The table has more than 10⁷ cells or 1 GB.
+    design_path : Path of the design that names the table.
+    eta : η of the design's law, along x.
+    Returns: First index: the position in the row; 0 and the law's η for cells that an outline leaves out.
+    Raises DesignError: With row and column: a wrong header, a cell twice or missing, an index outside, a
+        value that is no finite number from -1e6 to 1e6, an η on another side of 0 or 1. Without: a file
+        changed since its hash was taken; an array of another shape, or pickled.
+    Raises DesignTooLarge: The table has more than 10⁷ cells or 1 GB.
     """
     from clacad.design.cell_table_rows import TableFile
 

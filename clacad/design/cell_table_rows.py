@@ -12,11 +12,11 @@ from typing import IO, Any, Final, NamedTuple, NoReturn
 
 import numpy as np
 
-from clacad.base.npy_header import array_head
 from clacad.base.text import printable
 from clacad.base.types import Bools, Floats, Ints
-from clacad.base.untrusted_files import BUDGETS
+from clacad.base.untrusted_files import BUDGETS, array_head
 from clacad.config.mistakes import design_error, too_large
+from clacad.sheet.cell_places import places_in_rows
 from clacad.sheet.lattice import Lattice
 
 LONGEST_ROW: Final = 1000
@@ -36,13 +36,8 @@ class RowBlock(NamedTuple):
 class NumberRows:
     """A CSV file of numbers.
 
-    Parameters
-    ----------
-    path : str
-    columns : tuple of str
-        The header.
-    key : str
-        Key of the design that names the file, "" where none does.
+    columns : The header.
+    key : Key of the design that names the file, "" where none does.
     elsewhere : tuple of (str, str)
         Prefixes of columns that do not belong to the table, and what to do instead.
     """
@@ -53,13 +48,7 @@ class NumberRows:
     elsewhere: tuple[tuple[str, str], ...] = ()
 
     def names(self) -> list[str]:
-        """Columns of the header, valid or not.
-
-        Raises
-        ------
-        DesignError
-            The header is not UTF-8, or too long.
-        """
+        """Columns of the header, valid or not. Raises DesignError: The header is not UTF-8, or too long."""
         with open(self.path, "rb") as stream:
             line = self._text(stream.readline(LONGEST_ROW), 1).removeprefix("\ufeff")
         return [part.strip() for part in line.split(",")]
@@ -67,13 +56,9 @@ class NumberRows:
     def blocks(self) -> Iterator[RowBlock]:
         """Iterate over blocks of rows.
 
-        Raises
-        ------
-        DesignError
-            With row and column: another header, a value that is no number, too few or many values, text that
-            is not UTF-8.
-        DesignTooLarge
-            More rows than the reader's limit.
+        Raises DesignError: With row and column: another header, a value that is no number, too few or many
+            values, text that is not UTF-8.
+        Raises DesignTooLarge: More rows than the reader's limit.
         """
         with open(self.path, "rb") as stream:
             self._header(self._text(stream.readline(LONGEST_ROW), 1).removeprefix("\ufeff"))
@@ -226,14 +211,8 @@ def _eta_range(eta: float) -> tuple[float, float]:
 class TableFile:
     """A table of cells on disk, and the lattice whose cells it must cover.
 
-    Parameters
-    ----------
-    path : str
-    lattice : Lattice
-    key : str
-        Key of the design that names the table.
-    eta : float
-        η of the sheet's law, along x.
+    key : Key of the design that names the table.
+    eta : η of the sheet's law, along x.
     """
 
     path: str
@@ -269,8 +248,7 @@ class TableFile:
         n1, n2 = self.lattice.count
         whole = (numbers[:, :2] == np.rint(numbers[:, :2])) & (np.abs(numbers[:, :2]) < 2.0**53)
         index: Ints = np.where(whole, numbers[:, :2], -(2.0**53)).astype(np.int64)
-        i, j = index[:, 0], index[:, 1]
-        place = i + j // 2 if self.lattice.hexagonal else i
+        place, j = places_in_rows(self.lattice, index), index[:, 1]
         outside = np.column_stack([(place < 0) | (place >= n1), (j < 0) | (j >= n2)])
         good = np.abs(numbers[:, 2:4]) <= LARGEST  # False for NaN
         flaws: tuple[tuple[Bools, int, str, str], ...] = (
@@ -294,7 +272,7 @@ class TableFile:
         if twice.any():
             row = int(np.argmax(twice))
             rows.refuse(
-                f"cell ({i[row]}, {j[row]}) occurs twice in the table",
+                f"cell ({index[row, 0]}, {j[row]}) occurs twice in the table",
                 first + row,
                 lines[row],
                 0,
@@ -310,7 +288,7 @@ class TableFile:
         missing = np.isnan(made[..., 0])
         for j in np.flatnonzero(missing.any(axis=0)).tolist():
             kept = self.lattice.row(j)
-            places = kept[:, 0] + j // 2 if self.lattice.hexagonal else kept[:, 0]
+            places = places_in_rows(self.lattice, kept)
             lacking = kept[missing[places, j]]
             if len(lacking):
                 self.refuse(
@@ -388,7 +366,7 @@ class TableFile:
         """η of every cell, the law's for cells that are not kept; refuse a kept cell with η out of range."""
         for j in np.flatnonzero((~self._has_lens(etas)).any(axis=0)).tolist():
             row = self.lattice.row(j)
-            places = row[:, 0] + j // 2 if self.lattice.hexagonal else row[:, 0]
+            places = places_in_rows(self.lattice, row)
             bad = places[~self._has_lens(etas[places, j])]
             if len(bad):
                 self.refuse(f"eta[{bad[0]}, {j}] = {etas[bad[0], j]} is out of range", allowed=self._etas())

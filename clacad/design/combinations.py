@@ -17,16 +17,10 @@ Ask = Callable[[str], Any]
 class Feature:
     """A feature of a design that may be combined with a non-uniform sheet.
 
-    Parameters
-    ----------
-    name : str
-        Name in the matrix.
-    key : str
-        Key of a design that requests it.
-    present : callable
-        Whether the values of a design have it.
-    instead : str
-        The nearest way out.
+    name : Name in the matrix.
+    key : Key of a design that requests it.
+    present : Whether the values of a design have it.
+    instead : The nearest way out.
     """
 
     name: str
@@ -50,12 +44,6 @@ def has_plate(a: Ask) -> bool:
 def _tilted(a: Ask) -> bool:
     """Whether lenses are tilted against the sheet."""
     return bool((a(LAW.euler) or (0.0, 0.0, 0.0))[1])
-
-
-def _images(a: Ask) -> bool:
-    """Whether the law varies in order to image planes."""
-    varying = a(LAW.varying)
-    return varying is not None and (varying.f_image or varying.conjugates) is not None
 
 
 def _focused(a: Ask) -> bool:
@@ -100,12 +88,6 @@ FEATURES: Final = (
     Feature("seam", LATTICE.seam, lambda a: bool(a(LATTICE.seam))),
     Feature("outline", LATTICE.outline, lambda a: a(LATTICE.outline) is not None),
     Feature("tilt", LAW.euler, _tilted, "theta = 0"),
-    Feature(
-        "tilt where planes are imaged",
-        LAW.euler,
-        lambda a: _tilted(a) and _images(a),
-        "theta = 0, or gradient or table instead of planes",
-    ),
     Feature("offset", LAW.delta, lambda a: any(a(LAW.delta) or ())),
     Feature("biconvex", PAIR.form, lambda a: a(PAIR.form) == "biconvex", 'form = "slab"'),
     Feature("plano", PAIR.form, lambda a: a(PAIR.form) == "plano", 'form = "slab"'),
@@ -169,100 +151,43 @@ SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
 ETAS: Final = "eta in law.varying.table"
 """Kind of `law.varying` that is known only after reading its table."""
 
-_ONE_WAY: Final = "lenses 2 are traced for light of one direction over the sheet"
-_NODAL: Final = "its cells look at the nodal point"
-_CHIEF: Final = "its cells look along its chief rays"
-_ALONG: Final = "its radii are for light along the axis alone"
-_FIELD: Final = "field lenses would have a different place in every cell"
-_HEIGHTS: Final = (
-    "its lenses 2 are centred on their cells in one plane, and tilted pairs would need them to rise"
-    " with their places"
-)
-_PATTERN: Final = "the cells that a plate keeps are those of one pattern, and array 2 has another"
-_CHANNELS: Final = "the channels of a baffle are alike, and here each would lean its own way"
-_APART: Final = (
-    "its cells are aligned with their partners, and images of sharp pairs would not fall on one another"
-)
-_FOLLOWS: Final = "the pitch of array 2 follows from the two planes"
+_GROWTH: Final = "both state how delta grows over the sheet"
+_PLACES: Final = "both state where the cells of array 2 lie"
 
-_OWN_ARRAY: Final[Mapping[str, str]] = {
-    "tilt": _HEIGHTS,
-    "tilt where planes are imaged": _HEIGHTS,
-    "aimed at a point": _NODAL,
-    "steered": _NODAL,
-    "traced vertices": "its lenses are centred on their own cells",
-    "law that varies": "the places of its lenses are its law",
-    "sharp pairs": _FOLLOWS,
-    "confocal best": _ALONG,
-    "plate with holes, corners or pins": _PATTERN,
-    "plate with an outline of its own": _PATTERN,
-    "field lens": _FIELD,
-    "baffle": _CHANNELS,
-}
-"""Features excluded from a sheet whose array 2 has another pitch, or is turned → reason."""
-
-_VARIED: Final[Mapping[str, str]] = {
-    "tilt where planes are imaged": (
-        "cells of a sheet inclined to its lenses are at many distances from a plane across them"
+_TWICE: Final = (
+    ("law that varies", "other pitch", _GROWTH),
+    ("law that varies", "turned array", _GROWTH),
+    ("law that varies", "sharp pairs", _GROWTH),
+    ("aimed at a point", "other pitch", _PLACES),
+    ("aimed at a point", "turned array", _PLACES),
+    ("aimed at a point", "sharp pairs", _PLACES),
+    ("turned array", "sharp pairs", _PLACES),
+    ("other pitch", "sharp pairs", "both state the pitch of array 2"),
+    ("given faces", "sharp pairs", "both state the radii of the lenses"),
+    (
+        "eta_x and eta_y that differ",
+        ETAS,
+        "its lenses are one figure in many sizes, the same along both axes",
     ),
-    "aimed at a point": _ONE_WAY,
-    "other pitch": "its cells are aligned with their partners",
-    "turned array": "its cells are aligned with their partners",
-    "sharp pairs": _APART,
-    "confocal best": _ALONG,
-    "plate with holes, corners or pins": _PATTERN,
-    "plate with an outline of its own": _PATTERN,
-    "field lens": _FIELD,
-    "baffle": _CHANNELS,
-}
-"""Features excluded from a sheet with a varying law → reason."""
+    ("field lens", "sharp pairs", "both state where the light of a point meets between the lenses"),
+    ("field lens", ETAS, "both state where the light of a point meets between the lenses"),
+)
+"""Two features that exclude one another, and the reason."""
 
-_WHY_NOT: Final[Mapping[str, Mapping[str, str]]] = {
-    POINT: {
-        "tilt where planes are imaged": _ONE_WAY,
-        "law that varies": _ONE_WAY,
-        "other pitch": _NODAL,
-        "turned array": _NODAL,
-        "sharp pairs": _CHIEF,
-        "confocal best": _ALONG,
-        "plate with holes, corners or pins": _PATTERN,
-        "plate with an outline of its own": _PATTERN,
-        "field lens": _FIELD,
-        "baffle": _CHANNELS,
-    },
-    VARYING: _VARIED,
-    ETAS: {
-        **_VARIED,
-        "given faces": "its faces are of one size as they are given",
-        "eta_x and eta_y that differ": "its lenses are one figure in many sizes, the same along both axes",
-        "depth of a lens": "the depth is that of lenses of one size",
-        "biconvex of a thickness to be found": (
-            "the thickness that is found is that for lenses of law.eta alone"
-        ),
-    },
-    PITCH_2: _OWN_ARRAY,
-    ROTATION_2: _OWN_ARRAY,
-    FOCUS: {
-        "tilt": _HEIGHTS,
-        "tilt where planes are imaged": _HEIGHTS,
-        "given faces": "its faces follow from the two planes",
-        "tolerances": "a study of tolerances holds parallel light against the law, and sharp pairs focus it",
-        "aimed at a point": _CHIEF,
-        "steered": _CHIEF,
-        "traced vertices": "its lenses are centred on their own cells",
-        "law that varies": _APART,
-        "other pitch": _FOLLOWS,
-        "turned array": _CHIEF,
-        "thin recipe": "it leaves out the thickness that sharp lenses are solved for",
-        "confocal best": "its radii are for parallel light along the axis",
-        "plate with holes, corners or pins": _PATTERN,
-        "plate with an outline of its own": _PATTERN,
-        "field lens": "there is no common focus at which it could be mounted",
-        "baffle": _CHANNELS,
-    },
+_FEATURES_OF: Final[Mapping[str, tuple[str, ...]]] = {
+    POINT: ("aimed at a point",),
+    VARYING: ("law that varies",),
+    PITCH_2: ("other pitch",),
+    ROTATION_2: ("turned array",),
+    FOCUS: ("sharp pairs",),
+    ETAS: ("law that varies", ETAS),
 }
 REASONS: Final[Mapping[tuple[str, str], str]] = {
-    (sheet, feature): why for sheet, whys in _WHY_NOT.items() for feature, why in whys.items()
+    (sheet, other): why
+    for sheet, own in _FEATURES_OF.items()
+    for one, two, why in _TWICE
+    for name, other in ((one, two), (two, one))
+    if name in own and other != ETAS
 }
 """Sheet and feature → reason why they cannot be combined; combinations not listed are built."""
 

@@ -117,13 +117,7 @@ class Entity:
         return next((value for code, value, _ in self.values if code == 8), "0")
 
     def number(self, code: int, name: str, default: float | None = None) -> float:
-        """The number under a code.
-
-        Raises
-        ------
-        Unfit
-            There is no such code, or its value is no finite number.
-        """
+        """The number under a code. Raises Unfit: There is no such code, or its value is no finite number."""
         for at, value, line in self.values:
             if at == code:
                 return finite_number(value, line, name)
@@ -209,22 +203,15 @@ JOINED: Final = 1e-6
 def with_points(data: dict[str, Any], path: str) -> tuple[dict[str, Any], list[Mistake]]:
     """Replace the file name of a drawn outline by its corners.
 
-    Parameters
-    ----------
-    data : dict
-        The design as written; returned itself where it names no drawing.
-    path : str
-        The design's file; "" without one: then names are relative to the current folder.
+    data : The design as written; returned itself where it names no drawing.
+    path : The design's file; "" without one: then names are relative to the current folder.
 
     Returns
     -------
     data : dict
     mistakes : list of Mistake
 
-    Raises
-    ------
-    DesignTooLarge
-        The drawing is beyond its reader's budget.
+    Raises DesignTooLarge: The drawing is beyond its reader's budget.
     """
     mistakes: list[Mistake] = []
     for section in ("lattice", "body"):
@@ -257,19 +244,10 @@ def _of_section(mistake: Mistake, section: str) -> Mistake:
 def read_outline(folder: str, name: str, unit: Fraction) -> tuple[Vertex, ...]:
     """Corners of the outline drawn in a DXF file.
 
-    Parameters
-    ----------
-    folder : str
-        Folder of the design.
-    name : str
-        Path relative to `folder`.
-    unit : Fraction
-        Metres per design unit.
-
-    Raises
-    ------
-    ValueError
-        The drawing has a fault; the exception carries the mistake.
+    folder : Folder of the design.
+    name : Path relative to `folder`.
+    unit : Metres per design unit.
+    Raises ValueError: The drawing has a fault; the exception carries the mistake.
     """
     pairs = group_pairs(text_lines(folder, name), name)
     header, entities = sections(pairs, name)

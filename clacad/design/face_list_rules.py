@@ -1,13 +1,17 @@
-"""Rules of `form = "plates"`: faces listed with the medium behind each, and keys that do not go with them."""
+"""Rules of media in the order of the light: `form = "plates"`, faces listed with the medium behind each, and
+`pair.layers`, three materials that undo one another's colour; keys that do not go with either.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from clacad.config.mistakes import Mistake
 from clacad.design.faces import AIR, FaceSpec, vertices_of
-from clacad.design.sections import BODY, LATTICE, LAW, PAIR, TOLERANCES
+from clacad.design.sections import BODY, LATTICE, LAW, LIGHT, PAIR, LightSpec
 
 if TYPE_CHECKING:
     from clacad.design.rules import Asked
@@ -59,28 +63,29 @@ def face_list_stands_alone(a: Asked) -> Iterator[Mistake]:
             PAIR.thickness,
             allowed='leave it out, and give each [[pair.face]] its "after" or "z"',
         )
-    if a(TOLERANCES.separation):
-        yield Mistake(
-            "CL114",
-            "tolerances.separation does not belong to a list of faces",
-            TOLERANCES.separation,
-            allowed=TOLERANCES.thickness,
-        )
+    if any(face.array == "field" for face in a(PAIR.face) or ()):
+        yield from axes_are_level(a, "field lenses of a list")
+    faces: tuple[FaceSpec, ...] = a(PAIR.face) or ()
+    for key in (BODY.baffle, BODY.pins):
+        if a(key) and not any(face.behind == AIR for face in faces[:-1]):
+            yield Mistake(
+                "CL114",
+                f"{key} does not belong to a list of one plate",
+                key,
+                allowed='a face with behind = "air" before the last, or leave it out',
+            )
+
+
+def axes_are_level(a: Asked, what: str) -> Iterator[Mistake]:
+    """Require the lens axes to be normal to the sheet."""
     euler = a(LAW.euler)
     if euler is not None and euler[1] != 0.0:
         yield Mistake(
             "CL114",
-            f"theta = {euler[1]:g} deg: faces of a list are level with the sheet",
+            f"theta = {euler[1]:g} deg: {what} are level with the sheet",
             f"{LAW.euler}.1",
             allowed="theta = 0",
             hint='pair.form = "slab" or "biconvex"',
-        )
-    if a(BODY.baffle) or a(BODY.pins):
-        yield Mistake(
-            "CL114",
-            "a baffle or pins between listed plates are not made",
-            BODY.baffle if a(BODY.baffle) else BODY.pins,
-            allowed="leave it out",
         )
 
 
@@ -162,4 +167,123 @@ def media_are_known(a: Asked) -> Iterator[Mistake]:
             yield Mistake("CL119", sentence, key, allowed='"air", or a name of the table', hint=hint)
 
 
-FACE_LIST_RULES: Final = (face_list_stands_alone, faces_make_plates, media_are_known)
+OF_ONE_MEDIUM: Final = (
+    *(key for key in NOT_ASKED if key not in (PAIR.separation, PAIR.conic)),
+    PAIR.thickness,
+    PAIR.face,
+)
+"""Keys that layers answer, or that only a slab of one medium has."""
+
+DIFFRACTIVE: Final = "diffractive"
+"""Layer that is refused with the number of its zones."""
+
+LEAST_ZONES: Final = 10.0
+"""Zones of a cell below which a diffractive term is no grating."""
+
+
+@dataclass(frozen=True, slots=True)
+class Colour:
+    """Index of a material at the design wavelength, and its fall between the outermost lines of light."""
+
+    index: float
+    change: float
+
+    @property
+    def v(self) -> float:
+        """(n − 1)/Δn."""
+        return (self.index - 1.0) / self.change if self.change else math.inf
+
+
+def layers_are_achromatic(a: Asked) -> Iterator[Mistake]:
+    """Require three layers of known materials, the outer ones alike, and no key that they answer."""
+    layers: tuple[str, ...] = a(PAIR.layers) or ()
+    if not layers:
+        return
+    if a(PAIR.form) != "slab":
+        yield Mistake("CL114", "pair.layers belongs to a slab", PAIR.layers, allowed='pair.form = "slab"')
+        return
+    for key in OF_ONE_MEDIUM:
+        if a.given(key) and a(key) != "auto":
+            yield Mistake(
+                "CL114", f"{key} does not belong to layers: they state the media", key, allowed="leave it out"
+            )
+    yield from axes_are_level(a, "joints of layers")
+    colours: dict[str, Colour] = {}
+    for number, name in enumerate(layers):
+        try:
+            if name not in (AIR, DIFFRACTIVE):
+                colours[name] = _colour(a, name)
+        except ValueError as problem:
+            sentence, _, hint = str(problem).partition("; ")
+            key = f"{PAIR.layers}.{number}"
+            yield Mistake("CL119", sentence, key, allowed="a name of the table", hint=hint)
+            return
+    yield from _order(a, layers, colours)
+
+
+def _order(a: Asked, layers: tuple[str, ...], colours: dict[str, Colour]) -> Iterator[Mistake]:
+    """Require one material of both lenses, another between them, and nothing else."""
+    if DIFFRACTIVE in layers and colours:
+        yield from _diffractive(a, next(iter(colours)), next(iter(colours.values())))
+    elif layers[0] != layers[-1] and {layers[0], layers[-1]} <= colours.keys():
+        first, last = (colours[layers[k]].v for k in (0, -1))
+        yield Mistake(
+            "CL114",
+            f"lens 1 of {layers[0]} (V = {first:.4g}) and lens 2 of {layers[-1]} (V = {last:.4g}): the colour"
+            f" of eta vanishes at eta = {last / first:.3g} alone, and at no eta below 0",
+            PAIR.layers,
+            allowed="one material for both lenses, another between them",
+            hint=f'layers = ["{layers[0]}", "{layers[-1]}", "{layers[0]}"]',
+        )
+    elif len(layers) != 3 or layers[0] != layers[-1] or len(colours) != 2:
+        yield Mistake(
+            "CL108",
+            f"layers {', '.join(layers)} have no flat joint of two materials",
+            PAIR.layers,
+            allowed="three materials: outer, inner and outer",
+        )
+
+
+def _colour(a: Asked, name: str) -> Colour:
+    """Colour of a material; ValueError where its index is not known."""
+    from clacad.optics.material.catalogue import find
+
+    lines, one = LightSpec(spectrum=a(LIGHT.spectrum)).lines, find(name)
+    return Colour(one.index(a(PAIR.wavelength) or 0.0), one.index(min(lines)) - one.index(max(lines)))
+
+
+def _diffractive(a: Asked, name: str, colour: Colour) -> Iterator[Mistake]:
+    """Refuse a diffractive term with its zones over a cell, and the size of cells that have enough."""
+    pitch, s, eta, unit = a(LATTICE.pitch), a(PAIR.separation), a(LAW.eta), a.unit
+    if pitch is None or s is None or eta is None or unit is None:
+        return
+    lines, wavelength = LightSpec(spectrum=a(LIGHT.spectrum)).lines, a(PAIR.wavelength)
+    size = max(pitch) ** 2 / s
+    zones = diffractive_zones(
+        colour, size * unit.metres, min(eta), (max(lines) - min(lines)) / wavelength, wavelength
+    )
+    yield Mistake(
+        "CL114",
+        f"a diffractive term that undoes the colour of {name} has {zones:.2g} zones over a cell, and a"
+        f" grating needs {LEAST_ZONES:g}: pitch²/separation = {size * LEAST_ZONES / zones:.2g} {unit.name},"
+        f" not {size:.2g}",
+        PAIR.layers,
+        allowed="materials only: a diffractive term is not built",
+        hint="three layers of two materials",
+    )
+
+
+def diffractive_zones(colour: Colour, size: float, eta: float, spread: float, wavelength: float) -> float:
+    """Zones, to the corner of a square cell, of the diffractive part of lens 1 that makes a slab achromatic.
+
+    The lens must gain power as T/n falls: with the share k of its power diffractive,
+    (1 − k) Δn/(n − 1) − k Δλ/λ = Δn/n. Power φ has r² φ/(2 λ) zones, r² = p²/2 and φ = (1 − η)/s.
+
+    size : metres. p²/s; spread : Δλ/λ of the outermost lines; wavelength : metres
+    """
+    n, change = colour.index, colour.change
+    share = change * (1.0 / (n - 1.0) - 1.0 / n) / (change / (n - 1.0) + spread)
+    return share * abs(1.0 - eta) * size / (4.0 * wavelength)
+
+
+MEDIA_RULES: Final = (face_list_stands_alone, faces_make_plates, media_are_known, layers_are_achromatic)

@@ -131,22 +131,16 @@ def _term(order: str, none: tuple[float, ...]) -> Any:
 class FaceSpec:
     """One face as given, in its own lens frame.
 
-    Parameters
-    ----------
-    radius : (R_x, R_y), lengths
-        Apex radii, positive where convex, infinite where flat.
-    conic : (K_x, K_y)
-        Conic constants.
-    a4 : (3,) tuple of float, 1/length³
-        Coefficients of x⁴, x² y² and y⁴, positive outwards.
+    radius : (R_x, R_y), lengths. Apex radii, positive where convex, infinite where flat.
+    conic : (K_x, K_y). Conic constants.
+    a4 : (3,) tuple of float, 1/length³. Coefficients of x⁴, x² y² and y⁴, positive outwards.
     a6, a8 : (4,) and (5,) tuple of float, 1/length⁵ and 1/length⁷
         Coefficients of the next orders, from the highest power of x to the highest of y.
     after, z : float or None, lengths
         Of `form = "plates"`: vertex behind the previous face's, or from the first face's.
     array : 1, 2, "field" or None
         Of `form = "plates"`: on whose cells the face repeats; None: a plane under the whole sheet.
-    behind : str or None
-        Of `form = "plates"`: material behind the face, or "air".
+    behind : Of `form = "plates"`: material behind the face, or "air".
 
     In `form = "plates"` a radius is > 0 where the centre of curvature lies towards +z, and even terms count
     towards +z.
@@ -221,6 +215,7 @@ _SHA: Final = Text("a SHA-256", 64, pattern="[0-9a-f]{64}")
 _PAIRS: Final = (
     ListOf(Several(_NUMBER, ("part of the field", "weight")), "pairs"),
     ListOf(Several(_NUMBER, ("evaluations", "mrad")), "pairs"),
+    ListOf(Several(_NUMBER, ("nm", "weight")), "pairs"),
 )
 
 
@@ -228,21 +223,14 @@ _PAIRS: Final = (
 class SearchRecord:
     """Start, settings and result of a search; nothing is built from it.
 
-    Parameters
-    ----------
-    start_sha256 : str
-        SHA-256 of the initial design.
-    faces_sha256 : str
-        SHA-256 of the resulting faces (`faces_digest`).
-    free : tuple of str
-    field_deg : float
-        Half angle of the cone of rays.
+    start_sha256 : SHA-256 of the initial design.
+    faces_sha256 : SHA-256 of the resulting faces (`faces_digest`).
+    field_deg : Half angle of the cone of rays.
     weights : tuple of (part of the field, weight)
-    tolerances : bool
-        Whether the search optimised parts with fabrication errors instead of the perfect part.
-    unknowns, rays : int
+    tolerances : Whether the search optimised parts with fabrication errors instead of the perfect part.
     history : tuple of (evaluations, rms error in mrad)
         One entry for each improvement of the best by a tenth, and the first and the last.
+    spectrum : tuple of (wavelength in nm, weight); empty: the design's wavelength alone.
     """
 
     start_sha256: str = key(_SHA, "SHA-256 of the design that the search began with", REQUIRED)
@@ -254,6 +242,7 @@ class SearchRecord:
     unknowns: int = key(_COUNT, "number of unknowns", REQUIRED)
     rays: int = key(_COUNT, "number of rays", REQUIRED)
     history: tuple[tuple[float, float], ...] = key(_PAIRS[1], "rms error after evaluations", REQUIRED)
+    spectrum: tuple[tuple[float, float], ...] = key(_PAIRS[2], "lines of white light and their weights", ())
 
     def to_dict(self) -> dict[str, Any]:
         """The table of a design file."""

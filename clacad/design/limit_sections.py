@@ -58,6 +58,12 @@ class CheckSpec:
     )
     law_rms: float = key(_LIMIT_ANGLE, "limit of the rms law error", 0.003)
     law_bias: float = key(_LIMIT_ANGLE, "limit of the mean law error at a field point", 0.0025)
+    law_white: float | None = key(
+        _LIMIT_ANGLE, "limit of the rms law error, mean of the lines of white light"
+    )
+    temperature: float | None = key(
+        _LIMIT_ANGLE, "limit of the rms change of direction over light.temperature"
+    )
     mesh_law_rms: float | None = key(_LIMIT_ANGLE, "limit of the rms law error through facets")
     eta: float = key(_PART, "limit of the relative error of eta", 0.01)
     delta: float = key(_PART, "limit of the error of delta", 0.005)
@@ -102,6 +108,12 @@ class CheckSpec:
         0.9,
         later=True,
     )
+    scan_seam: float = key(
+        _PART,
+        "largest share of the light through a measured part that may meet a seam or a place without points",
+        0.15,
+        later=True,
+    )
     viewer: float | None = key(
         _NAMED, "distance of the eye before array 1 (1 m); where written, the check viewed judges"
     )
@@ -122,7 +134,8 @@ class TolerancesSpec:
     """Section [tolerances]: fabrication errors, and limits of a good sheet in addition to those of [check].
     Lengths in design units, angles in radians, `residual_power` in 1/m.
 
-    A field lens on its own plate has the larger tolerance of the two arrays. Each tolerance t means ±t
+    A field lens on its own plate, and every plate between the first and the last of a list, has the larger
+    tolerance of the two arrays. Each tolerance t means ±t
     (roughness: 0 … t); 0 means no error.
     """
 
@@ -131,7 +144,9 @@ class TolerancesSpec:
     )
     rotation: float = key(_NO_ANGLE, "turn of array 2 against array 1 about the sheet's normal", 0.0)
     separation: float = key(
-        _LIMIT_LENGTH, "displacement of array 2 along the sheet's normal (not for a slab)", 0.0
+        _LIMIT_LENGTH,
+        "displacement of array 2 along the sheet's normal (not for a slab); of listed plates each gap",
+        0.0,
     )
     radius: Pair2 = key(
         Several(_PART_FROM_0, _ARRAYS, single=True), "relative error of the radii of a face", (0.0, 0.0)
@@ -152,6 +167,11 @@ class TolerancesSpec:
     )
     seed: int = key(
         Whole("a whole number from 0 to 1e9", least=0, most=1_000_000_000), "seed of the draws", 0
+    )
+    compensator: str | None = key(
+        Text("the name of an error, as clacad tolerance prints it", 40),
+        "error set on each sheet to the least law error, such as separation or gap.1: a spacer or focus",
+        later=True,
     )
     image_shift: float | None = key(_LIMIT_ANGLE, "largest image shift of a good sheet")
     blur: float | None = key(_LIMIT_ANGLE, "largest rms blur of a good sheet")

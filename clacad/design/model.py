@@ -17,7 +17,7 @@ from clacad.config.keys import written
 from clacad.config.value_kinds import FORMAT
 from clacad.design.body import BodySpec
 from clacad.design.limit_sections import CheckSpec, TolerancesSpec
-from clacad.design.read import read_changed, read_dict, read_file
+from clacad.design.read import read_changed, read_dict, read_file, read_shipped
 from clacad.design.sections import LatticeSpec, LawSpec, LightSpec, PairSpec
 
 _LATER = ("tolerances", "light")
@@ -233,12 +233,13 @@ class Design:
 
 
 def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Design:
-    """Read a design file.
+    """Read a design file, or a shipped design or template by its name.
 
     Parameters
     ----------
-    path : path
-        TOML, or JSON if the name ends in .json; at most 1 MB, nested at most 64 deep.
+    path : path, or str
+        TOML, or JSON if the name ends in .json; at most 1 MB, nested at most 64 deep. Where no such file
+        exists, one of the names that `clacad new --list` prints, such as "slab" or "fig3".
     overrides : sequence of str
         "key.path=value" each, as with --set; applied in order.
 
@@ -250,5 +251,14 @@ def load(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Design:
     ------
     DesignError
         Lists every mistake with path, line and column.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> clacad.load("slab", ["lattice.count = [3, 3]"])
+    Design('slab', slab, eta -1 -1, separation 10 mm, 3 x 3 cells)
     """
-    return Design(**read_file(path, overrides))
+    shipped = None
+    if isinstance(path, str) and os.path.basename(path) == path and not os.path.lexists(path):
+        shipped = read_shipped(path, overrides)
+    return Design(**(read_file(path, overrides) if shipped is None else shipped))

@@ -20,41 +20,23 @@ if TYPE_CHECKING:
 class ProcessProfile:
     """Limits of one process, lengths in metres.
 
-    Parameters
-    ----------
-    name : str
-    edge, neck : float
-        Least thickness at the edge of the part, and between neighbouring lenslets.
-    radius : float
-        Least radius of curvature (given by tool nose, voxel or spot size).
-    sag : float
-        Greatest structure height.
-    pitch : float
-        Least lenslet pitch.
-    clearance : float
-        Least air gap between two bodies.
-    tool : float
-        Nose radius of the tool: the least radius of an inner corner. 0: there is no tool.
-    wall : float
-        Highest vertical step between neighbours.
-    draft : float, radians
-        Least angle of walls and faces to the direction of mould, tool or light.
-    slope : float, radians
-        Steepest slope of a face against the sheet.
-    voxel : float
-        Lateral size of a voxel, pixel or spot. 0: continuous.
-    layer : float
-        Thickness of a layer, or height of a level. 0: continuous.
-    aspect : float
-        Greatest height over width of a wall or groove.
-    undercut : bool
-        Whether faces may overhang.
+    edge, neck : Least thickness at the edge of the part, and between neighbouring lenslets.
+    radius : Least radius of curvature (given by tool nose, voxel or spot size).
+    sag : Greatest structure height.
+    pitch : Least lenslet pitch.
+    clearance : Least air gap between two bodies.
+    tool : Nose radius of the tool: the least radius of an inner corner. 0: there is no tool.
+    wall : Highest vertical step between neighbours.
+    draft : radians. Least angle of walls and faces to the direction of mould, tool or light.
+    slope : radians. Steepest slope of a face against the sheet.
+    voxel : Lateral size of a voxel, pixel or spot. 0: continuous.
+    layer : Thickness of a layer, or height of a level. 0: continuous.
+    aspect : Greatest height over width of a wall or groove.
+    undercut : Whether faces may overhang.
     part_height, part_width : float
         Greatest height of a whole part, and greatest side of its bounding rectangle, seen along z.
-    materials : tuple of str
-        Kinds and names of materials that can be worked; empty: any.
-    source : str
-        Source of the numbers.
+    materials : Kinds and names of materials that can be worked; empty: any.
+    source : Source of the numbers.
     """
 
     name: str
@@ -155,9 +137,6 @@ def profiles() -> tuple[ProcessProfile, ...]:
 def profile(name: str) -> ProcessProfile:
     """Return the profile with a name.
 
-    Raises
-    ------
-    KeyError
-        Unknown name; the design file's reader refuses those with a suggestion.
+    Raises KeyError: Unknown name; the design file's reader refuses those with a suggestion.
     """
     return {p.name: p for p in _PROFILES}[name]

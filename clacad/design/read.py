@@ -31,6 +31,17 @@ def read_file(path: str | os.PathLike[str], overrides: Sequence[str]) -> dict[st
     return _read(parse(text, name), tuple(overrides), text, name)
 
 
+def read_shipped(name: str, overrides: Sequence[str]) -> dict[str, Any] | None:
+    """Read a template or shipped design by its name, as `read_file`; None where none has the name."""
+    from clacad.design.starter_designs import file_of, template
+
+    file = file_of(name)
+    if file is None:
+        return None
+    text = template(name, name)
+    return _read(parse(text, str(file)), tuple(overrides), text, str(file))
+
+
 def read_dict(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """Read nested dictionaries; return the fields of a `Design`, see `Design.from_dict`."""
     return _read(given_table(data), tuple(overrides), None, "")

@@ -11,22 +11,18 @@ from typing import Any, Final
 from clacad.base.units import Unit
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import shown
-from clacad.design.combinations import has_plate
-from clacad.design.sections import BODY, CHECK, LATTICE, LAW, PAIR, TOLERANCES
+from clacad.design.faces import AIR
+from clacad.design.sections import BODY, CHECK, LATTICE, LAW, LIGHT, PAIR, TOLERANCES, LightSpec
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
     """Values read so far.
 
-    Parameters
-    ----------
     values : mapping of dotted key to converted value
         Includes defaults; keys whose value was refused are absent.
-    written : mapping of dotted key to value as written
-        For messages.
-    unit : Unit or None
-        None if the unit itself was refused: rules about absolute sizes are skipped.
+    written : mapping of dotted key to value as written. For messages.
+    unit : Unit or None. None if the unit itself was refused: rules about absolute sizes are skipped.
     """
 
     values: Mapping[str, Any]
@@ -193,7 +189,7 @@ def _keys_of_two_bodies(a: Asked) -> Iterator[Mistake]:
 
 def index_or_material(a: Asked) -> Iterator[Mistake]:
     """Require exactly one of index and material, but of a list of faces, which states the media."""
-    if a(PAIR.form) == "plates":
+    if a(PAIR.form) == "plates" or a(PAIR.layers):
         return
     if a.given(PAIR.index) and a.given(PAIR.material):
         yield Mistake(
@@ -235,6 +231,40 @@ def material_is_known(a: Asked) -> Iterator[Mistake]:
             yield Mistake("CL119", str(problem), key, allowed="a wavelength in that range, or pair.index")
 
 
+def light_is_known(a: Asked) -> Iterator[Mistake]:
+    """Every material must have an index at the stated lines, and a dn/dT where a temperature is stated."""
+    lines = next((key for key in (LIGHT.spectrum, CHECK.law_white) if a(key) is not None), "")
+    warm = next((key for key in (LIGHT.temperature, CHECK.temperature) if a(key) is not None), "")
+    if not lines and not warm:
+        return
+    listed = [face.behind for face in a(PAIR.face) or () if face.behind not in (None, AIR)]
+    media = listed if a(PAIR.form) == "plates" else a(PAIR.layers) or [a(PAIR.material)]
+    names = {str(name) for name in media if name}
+    from clacad.optics.material.catalogue import find
+
+    for key in filter(None, (lines, warm) if not names else ()):
+        yield Mistake(
+            "CL119",
+            f"{key} needs a material: an index alone is known at one wavelength",
+            key,
+            allowed="with pair.material, a name of the table",
+        )
+    for name in sorted(names):
+        try:
+            material = find(name)
+        except ValueError:
+            continue  # reported at the key that names it
+        try:
+            for wave in LightSpec(spectrum=a(LIGHT.spectrum)).lines if lines else ():
+                material.index(wave)
+        except ValueError as problem:
+            yield Mistake("CL119", str(problem), lines, allowed="lines in that range")
+            continue
+        if warm and material.thermal.dn_dt is None:
+            message = f"{warm} needs dn/dT of {name}, which is not known: no published value is in the table"
+            yield Mistake("CL119", message, warm, allowed="a material with dn/dT, see `clacad explain`")
+
+
 def worked_materials_are_known(a: Asked) -> Iterator[Mistake]:
     """The materials of `check.materials` must be in the table."""
     asked = a(CHECK.materials)
@@ -253,7 +283,7 @@ def worked_materials_are_known(a: Asked) -> Iterator[Mistake]:
 def surface_and_its_keys(a: Asked) -> Iterator[Mistake]:
     """Conic belongs to a biconic, depth to an ellipsoid; a biconvex biconic needs its conic."""
     surface = a(PAIR.surface)
-    if surface == "ellipsoid" and a.given(PAIR.conic):
+    if surface == "ellipsoid" and a.given(PAIR.conic) and not a(PAIR.layers):
         yield Mistake(
             "CL113",
             'pair.conic needs surface = "biconic"',
@@ -420,14 +450,6 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
         )
     if eta[0] != eta[1]:
         yield from _cylinders_are_made(a, form, euler)
-    if has_plate(a):
-        yield Mistake(
-            "CL127",
-            "a field lens in a plate of holes, corners, pins or a polygon is not made",
-            PAIR.field_lens,
-            allowed="false, or plain edges",
-            hint="a circle or a rectangle is made",
-        )
     field = a(PAIR.field)
     if field is not None and field.gap is not None and form != "slab":
         yield Mistake(
@@ -446,6 +468,7 @@ PAIR_RULES: Final[tuple[Rule, ...]] = (
     keys_of_other_forms,
     index_or_material,
     material_is_known,
+    light_is_known,
     worked_materials_are_known,
     surface_and_its_keys,
     faces_stand_alone,

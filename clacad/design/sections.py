@@ -110,6 +110,11 @@ class FieldSpec:
 
 def _derived(pair: PairSpec, value: Any) -> Any:
     """Write keys of the recipes where the recipe solves for the faces."""
+    return None if pair.given or pair.layers else value
+
+
+def _of_layers(pair: PairSpec, value: Any) -> Any:
+    """Write keys of the recipes that layers have, too."""
     return None if pair.given else value
 
 
@@ -150,7 +155,7 @@ class PairSpec:
     surface: Literal["ellipsoid", "biconic"] = key(
         Word(("ellipsoid", "biconic")), "shape of the lens faces", "ellipsoid", written=_derived
     )
-    conic: Pair2 | None = key(Several(CONIC, _XY), "biconic: conic constants", written=_derived)
+    conic: Pair2 | None = key(Several(CONIC, _XY), "biconic, layers: conic constants", written=_of_layers)
     depth: Pair2 | None = key(
         Several(LENGTH_ABOVE_0, _LENSES, single=True),
         "ellipsoid: semi-axis along the optical axis",
@@ -197,6 +202,12 @@ class PairSpec:
         "afocal: parallel light leaves parallel; or two planes that every pair images sharply to one another",
     )
 
+    layers: tuple[str, ...] = key(
+        ListOf(Text("the name of a material", 60), "texts"),
+        "slab: outer, inner and outer material of flat layers, whose thicknesses keep white light afocal",
+        (),
+    )
+
     @property
     def given(self) -> bool:
         """Whether the faces are given."""
@@ -216,7 +227,9 @@ class PairSpec:
         return self.thickness if isinstance(self.thickness, tuple) else (self.thickness, self.thickness)
 
 
-OF_RECIPES: Final = tuple(name for name, one in keys_of(PairSpec).items() if one.written is _derived)
+OF_RECIPES: Final = tuple(
+    name for name, one in keys_of(PairSpec).items() if one.written in (_derived, _of_layers)
+)
 """Keys of the recipes that solve for faces."""
 
 
@@ -276,11 +289,50 @@ class LatticeSpec:
     )
 
 
+SPECTRA: Final[dict[str, dict[float, float]]] = {
+    "visible": dict.fromkeys((486.1e-9, 546.1e-9, 587.6e-9, 656.3e-9), 1.0),
+    "photopic": {470e-9: 0.091, 510e-9: 0.503, 555e-9: 1.0, 610e-9: 0.503, 650e-9: 0.107},
+}
+"""Lines of white light: wavelength in metres → weight. Visible: F, e, d and C. Photopic: V(λ) of CIE 1924."""
+
+KELVIN: Final = 20.0
+"""Change of temperature at which the law is measured where the design states none."""
+
+
+@dataclass(frozen=True, slots=True)
+class LineSpec:
+    """One line of white light; its wavelength in metres."""
+
+    wavelength: float = key(_WAVELENGTH, "wavelength of the line", REQUIRED)
+    weight: float = key(Quantity("ratio", "a number > 0", above=0.0), "weight of the line", 1.0)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightSpec:
-    """Section [light]: light that illuminates the sheet."""
+    """Section [light]: light that illuminates the sheet. `temperature` in kelvin.
+
+    `spectrum` None: the lines F e d C, in light that is not coherent, where every material has an index at
+    them that depends on the wavelength.
+    """
 
     coherent: bool = key(Flag(), "whether the light is one wave over many cells, as a laser's", False)
+    spectrum: Literal["visible", "photopic"] | tuple[LineSpec, ...] | None = key(
+        WordOr(("visible", "photopic"), ListOf(Record(LineSpec), "tables")),
+        "lines of white light: F e d C with equal weights, five lines weighted by V(lambda), or a list",
+    )
+    temperature: float | None = key(
+        Quantity(
+            "temperature", "a difference of temperature > 0, at most 200 K", above=0.0, most=200.0, bare=False
+        ),
+        "change of temperature, up and down, at which the law is measured (20 K)",
+    )
+
+    @property
+    def lines(self) -> dict[float, float]:
+        """Lines of white light: wavelength in metres → weight."""
+        if isinstance(self.spectrum, tuple):
+            return {line.wavelength: line.weight for line in self.spectrum}
+        return SPECTRA[self.spectrum or "visible"]
 
 
 ROOT: Final = head_keys(

@@ -12,7 +12,7 @@ from clacad.base.text import rounded_up
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import LARGEST_COUNT, shown
 from clacad.design.combinations import FEATURES, built_sheets, why_not
-from clacad.design.face_list_rules import FACE_LIST_RULES
+from clacad.design.face_list_rules import MEDIA_RULES
 from clacad.design.rules import PAIR_RULES, Asked, Rule
 from clacad.design.sections import BODY, LATTICE, LAW, PAIR
 from clacad.design.varying import MAGNIFIED, VaryingSpec, gradient_of, needed_eta
@@ -364,6 +364,15 @@ def focus_has_planes(a: Asked) -> Iterator[Mistake]:
         )
     if eta[0] == eta[1]:
         return
+    if euler is not None and euler[1]:
+        yield Mistake(
+            "CL125",
+            f"lenses tilted by {euler[1]:g} deg with eta_x and eta_y that differ: with pair.focus lenses 1 of"
+            " two cells would differ in figure, not in size alone",
+            f"{LAW.euler}.1",
+            allowed="theta = 0 deg",
+            hint="eta_x = eta_y",
+        )
     if a(LATTICE.kind) == "hexagonal":
         yield Mistake(
             "CL116",
@@ -386,10 +395,12 @@ def focus_has_planes(a: Asked) -> Iterator[Mistake]:
 
 def sheet_is_built(a: Asked) -> Iterator[Mistake]:
     """Refuse features that cannot be combined with the requested non-uniform sheet."""
+    named = set()
     for sheet in built_sheets(a):
         for feature in FEATURES:
-            reason = why_not(sheet, feature.name)
-            if reason and feature.present(a):
+            reason, keys = why_not(sheet, feature.name), frozenset((sheet, feature.key))
+            if reason and keys not in named and feature.present(a):
+                named.add(keys)
                 yield Mistake(
                     "CL125",
                     f"{feature.key} with {sheet}: {reason}",
@@ -401,7 +412,7 @@ def sheet_is_built(a: Asked) -> Iterator[Mistake]:
 
 RULES: Final[tuple[Rule, ...]] = (
     *PAIR_RULES,
-    *FACE_LIST_RULES,
+    *MEDIA_RULES,
     pitch_fits_lattice,
     seam_leaves_a_lens,
     outline_holds_a_cell,

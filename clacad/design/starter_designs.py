@@ -97,6 +97,11 @@ def _nearest_of(word: str) -> str:
     return ""
 
 
+def file_of(name: str) -> Path | None:
+    """File of a template or shipped design; None for another name."""
+    return _files().get(name)
+
+
 def _files() -> dict[str, Path]:
     """Every template, by its name."""
     return {path.stem: path for folder in (shipped_designs(), _FOLDER) for path in folder.glob("*.toml")}
@@ -110,10 +115,7 @@ def _about(text: str) -> str:
 def shipped_designs() -> Path:
     """Folder of the shipped design files; their scenes lie in its subfolder `scenes`.
 
-    Raises
-    ------
-    FileNotFoundError
-        The package was taken out of its repository without the designs.
+    Raises FileNotFoundError: The package was taken out of its repository without the designs.
     """
     for folder in (_PACKAGE / "designs", _PACKAGE.parent / "designs"):
         if (folder / "scenes").is_dir():

@@ -118,15 +118,10 @@ class Conjugates(Planes):
 class VaryingSpec:
     """Variation of δ over the sheet; exactly one of the four is given.
 
-    Parameters
-    ----------
     f_image : (2,) tuple of float or None, lengths
         Distance behind array 2 at which parallel light is focused, along the lens axes.
-    conjugates : Conjugates or None
-    gradient : ((K_xx, K_xy), (K_yx, K_yy)) or None, 1/length
-        dδ/d(x, y): lens axes by sheet axes.
-    table : TableSpec or None
-        Table of δ, and optionally η, of every cell.
+    gradient : ((K_xx, K_xy), (K_yx, K_yy)) or None, 1/length. dδ/d(x, y): lens axes by sheet axes.
+    table : Table of δ, and optionally η, of every cell.
     """
 
     f_image: Pair2 | None = None
@@ -168,12 +163,8 @@ def needed_eta(planes: Conjugates, separation: float) -> Pair2 | None:
 def gradient_of(spec: VaryingSpec, eta: Pair2, separation: float) -> Gradient | None:
     """K, 1/length: lens axes by lens axes for f_image and conjugates, by sheet axes as given; or None.
 
-    Parameters
-    ----------
-    spec : VaryingSpec
     eta : (2,) numbers
-    separation : float, length
-        Separation of the arrays, in air.
+    separation : length. Separation of the arrays, in air.
     """
     from clacad.optics.law.focusing import focusing_at, imaging, imaging_scaled
 

@@ -47,13 +47,7 @@ __all__ = sorted(["NAMES", *_HOME])
 
 @cache
 def declared(name: str) -> Declaration:
-    """Declaration of an effect; its module is imported on first use.
-
-    Raises
-    ------
-    ValueError
-        An unknown name.
-    """
+    """Declaration of an effect; its module is imported on first use. Raises ValueError: An unknown name."""
     if name not in NAMES:
         raise ValueError(f"no effect is called {name!r}; known are {', '.join(NAMES)}")
     found: Declaration = import_module(f"clacad.effects.{name}").DECLARED

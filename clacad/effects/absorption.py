@@ -54,10 +54,7 @@ def attenuations(window: Window, setting: Setting, wavelength: float | None) -> 
 def attenuation(window: Window, body: Body, setting: Setting, wavelength: float | None) -> float | None:
     """Attenuation α of a body, 1/length; None where it is not known.
 
-    Raises
-    ------
-    ValueError
-        The material was measured, but not at this wavelength.
+    Raises ValueError: The material was measured, but not at this wavelength.
     """
     wave = wavelength if wavelength is not None else window.wavelength
     if wave is None:

@@ -27,10 +27,7 @@ from clacad.sheet.window import Window
 
 NAME = "dispersion"
 
-LINES = {
-    "rgb": (611.4e-9, 549.1e-9, 464.2e-9),
-    "D65": tuple(1e-9 * (440.0 + 26.25 * k) for k in range(9)),
-}
+LINES = {"rgb": (611.4e-9, 549.1e-9, 464.2e-9), "D65": tuple(1e-9 * (440.0 + 26.25 * k) for k in range(9))}
 """Lines of named spectra, metres: dominant wavelengths of the sRGB primaries; nine samples of daylight."""
 
 

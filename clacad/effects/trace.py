@@ -45,7 +45,7 @@ def trace(
     record: bool = False,
     **options: Unpack[TraceOptions],
 ) -> TraceResult:
-    """Trace rays through a window.
+    """Follow rays through a sheet: where each leaves, in what direction, and what became of it.
 
     Prepared data (packed arrays, triangles of a file) is cached on the window. Use `clacad.Tracer` to control
     its lifetime.
@@ -71,6 +71,13 @@ def trace(
     ------
     TypeError, ValueError
         As `clacad.Tracer`; rays that are none are a TypeError.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> window = clacad.prescribe(clacad.load("slab", ["lattice.count = [3, 3]"]))
+    >>> clacad.trace(window, ((0, 0, -1), (0.01, 0, 1)))
+    TraceResult(1 ALIVE)
     """
     if effects:
         return Tracer(window, rung, effects, **options)(rays, record)

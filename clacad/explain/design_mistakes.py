@@ -10,16 +10,12 @@ from dataclasses import dataclass
 class Entry:
     """An explanation.
 
-    Parameters
-    ----------
-    code : str
-        Stable code; "" for a word.
-    name : str
-        Name of the check, or the word.
-    title : str
-        One line.
+    code : Stable code; "" for a word.
+    name : Name of the check, or the word.
+    title : One line.
     means, why, formula, do : str
         What it means, why it matters, what is computed ("" where nothing is), what to do.
+    kind : Word for what is explained: code, check, word, process, effect, format, material, command, key.
     """
 
     code: str
@@ -29,6 +25,7 @@ class Entry:
     why: str
     formula: str
     do: str
+    kind: str = "word"
 
 
 def rows(text: str) -> Iterator[list[str]]:
@@ -113,8 +110,7 @@ CL126 | A field lens is requested where the common focus is virtual (eta > 0) or
   | 1/f_F = 1/f1 + 1/f2,  f_F = −η s/(1 − η)²
   | Take eta < 0 in both meridians, or leave pair.field_lens out.
 CL127 | A field lens in a form, tilt or lattice that it is not made for: tilted slabs and plano pairs; where
-  eta_x and eta_y differ, hexagonal cells, lenses turned against the cells, tilts, baffles; plates with
-  holes, corners, pins or a polygon.
+  eta_x and eta_y differ, hexagonal cells, lenses turned against the cells, tilts, baffles.
   | Where eta_x and eta_y differ the field lens is two arrays of cylinders, which run along the cells or are
   cut to pieces.
   | Change one of the two as the message suggests; a biconvex pair with eta_x = eta_y takes any tilt.

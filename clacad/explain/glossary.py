@@ -246,9 +246,8 @@ fov | field of view
 throughput share | efficiency
 lenslet | microlens, lens
 lens array | lenslet array, microlens array
-chromatic aberration | colour
 refractive index | index of refraction
-thermal | dn/dt, temperature
+thermal | dn/dt
 viewing | eye, viewing distance
 steering | beam steering
 superlens | gabor superlens

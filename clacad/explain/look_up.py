@@ -28,7 +28,7 @@ from clacad.explain.glossary import SYNONYMS, WORDS
 from clacad.exporting.formats.format import Format
 from clacad.exporting.formats.registry import formats
 from clacad.optics.material.catalogue import find, names
-from clacad.optics.material.material import Material
+from clacad.optics.material.material import D_LINE, Material
 from clacad.topology.complex_parts import CODES as BODIES
 
 SHOWN = (550e-9, 4e-6, 10.6e-6)
@@ -122,6 +122,7 @@ def _process(one: ProcessProfile) -> Entry:
         "",
         f'check.process = "{one.name}" in the design file; a limit may be allowed to be passed with a reason'
         " (check.allow).",
+        "process",
     )
 
 
@@ -161,6 +162,7 @@ def _effect(name: str) -> Entry:
         "",
         f"It is simulated {found['On']} A scene switches it on or leaves it out by effects.force and"
         " effects.without; `clacad effects SCENE` shows the plan.",
+        "effect",
     )
 
 
@@ -182,7 +184,7 @@ def _formats() -> Entry:
 def _format(one: Format) -> Entry:
     """A format by what it declares."""
     name = f"format {one.word}" if DESIGN.homes(one.word) else one.word
-    sheets = "non-uniform sheets too" if one.any_cells else "uniform sheets only"
+    sheets = "one cell, of a non-uniform sheet that of --cell" if one.of_cell else "non-uniform sheets too"
     repeats = "; it stores one cell of a uniform sheet and its places" if one.repeats else ""
     return Entry(
         "",
@@ -192,6 +194,7 @@ def _format(one: Format) -> Entry:
         f"It holds {sheets}{repeats}. Accuracy: {'; '.join(way.note for way in one.stored)}.",
         "",
         f"clacad export DESIGN --format {one.word}",
+        "format",
     )
 
 
@@ -203,7 +206,7 @@ def _material(one: Material) -> Entry:
     abbe, thermal = one.abbe_number, one.thermal
     means = [
         ", ".join(f"n = {one.index(wave):.4f} at {_wave(wave)}" for wave in waves),
-        f"V_d = {abbe:.1f}" if abbe is not None else "V_d is not published",
+        f"n_d = {one.index(D_LINE):.5f}, V_d = {abbe:.1f}" if abbe is not None else "V_d is not published",
         f"known from {1e9 * short:.0f} to {nm_text(long, 0, fixed=True)}",
         "density not published" if one.density_kg_m3 is None else f"{one.density_kg_m3:g} kg/m³",
         "dn/dT not published" if thermal.dn_dt is None else _dn_dt(*thermal.dn_dt),
@@ -225,6 +228,7 @@ def _material(one: Material) -> Entry:
         why,
         "",
         f'pair.material = "{one.name}" in the design file.',
+        "material",
     )
 
 
@@ -254,24 +258,21 @@ def entries(more: Sequence[Entry] = ()) -> dict[str, Entry]:
 
     An entry with the name of a word or a check (diffraction) is listed with its kind: "effect diffraction".
 
-    Parameters
-    ----------
-    more : sequence of Entry
-        Entries of the caller, such as those of commands.
+    more : Entries of the caller, such as those of commands.
     """
     found = {}
     for code, title in sorted({**IN_DESIGNS, **BODIES}.items()):
         means, why, formula, do = MISTAKES[code]
-        found[code] = Entry(code, "", title, means, why, formula, do)
+        found[code] = Entry(code, "", title, means, why, formula, do, "code")
     for kind in sorted(kinds().values(), key=lambda kind: kind.code):
         found[kind.code] = Entry(
-            kind.code, kind.id, f"check {kind.id}", kind.means, kind.why, kind.formula, kind.do
+            kind.code, kind.id, f"check {kind.id}", kind.means, kind.why, kind.formula, kind.do, "check"
         )
     for word, (means, key) in WORDS.items():
         found[word] = Entry("", word, word, means, "", "", _see(key))
     taken = {entry.name for entry in found.values()}
     for entry in (*named_things(), *more):
-        name = entry.name if entry.name not in taken else f"{entry.title.split()[0]} {entry.name}"
+        name = entry.name if entry.name not in taken else f"{entry.kind} {entry.name}"
         found[name] = replace(entry, name=name)
     return found
 
@@ -288,15 +289,8 @@ def explain(text: str, more: Sequence[Entry] = ()) -> Entry:
 
     The former name of a check finds the check; its title then states the present name.
 
-    Parameters
-    ----------
-    text : str
-    more : sequence of Entry
-        Entries of the caller, as in `entries`.
-
-    Raises
-    ------
-    Unexplained
+    more : Entries of the caller, as in `entries`.
+    Raises Unexplained.
     """
     known = entries(more)
     word = text.strip()
@@ -332,7 +326,14 @@ def _key(name: str) -> Entry | None:
     section, _, last = place.rpartition(".")
     if not section and last not in ROOT:
         return Entry(
-            "", last, f"section [{last}] of the design file", f"keys: {', '.join(SECTIONS[last])}", "", "", ""
+            "",
+            last,
+            f"section [{last}] of the design file",
+            f"keys: {', '.join(SECTIONS[last])}",
+            "",
+            "",
+            "",
+            "key",
         )
     key = (SECTIONS[section] if section else ROOT)[last]
     allowed = key.kind.allowed(Unit("the design's unit", LENGTHS["m"]))
@@ -341,7 +342,9 @@ def _key(name: str) -> Entry | None:
             f"one of the names of the table ({materials_text()}), or a page of the refractiveindex.info"
             " database (ri:…)"
         )
-    return Entry("", place, f"key {place} of the design file", key.about, "", "", f"it takes {allowed}")
+    return Entry(
+        "", place, f"key {place} of the design file", key.about, "", "", f"it takes {allowed}", "key"
+    )
 
 
 def _bare(name: str) -> str:

@@ -7,6 +7,7 @@
   for (const s of facts.sliders) sliders[s.id] = s;
   const LEAST_ETA = 0.01, REST = 160; // milliseconds after which a picture that stands is drawn finely
   const FINE = 12; // rays a pixel of it
+  const PHOTO = 1024; // most pixels a side of the reader's photograph
   const LIVE = 50; // milliseconds that a picture may take while something moves; else it is drawn coarser
   let state = {}, made = null;
 
@@ -133,12 +134,13 @@
   const precise = gl && gl.getShaderPrecisionFormat(gl.FRAGMENT_SHADER, gl.HIGH_FLOAT).precision >= 23;
   const NAMES = ["size", "eye", "ahead", "right", "up", "count", "pitch", "firstCentre", "kept", "solid", "solidCentre", "turn",
     "power1", "power2", "apex2", "wholeSteps", "residual", "span", "margin", "opaque", "baffle", "fieldFocus",
-    "fieldPower", "fieldCentre", "objectAt", "card", "ghosts", "part"];
+    "fieldPower", "fieldCentre", "objectAt", "card", "ghosts", "part", "photo", "photoHalf"];
+  let photoHalf = null; // half sides of the reader's photograph over the card's; null: the card with an F
   const programs = {};
   function program(kind, wide, tall) { // "view", "fine" or "debug" for what the sheet has now, compiled when first used
     const out = outlines(), has = {
       HEX: made.hexagonal, TILTED: state.theta !== 0, FIELD: closedForms.fieldLens(made), BAFFLE: facts.baffle !== null,
-      OUTLINE: out.kept[0] > 0, SEAM: facts.seam > 0, BODY: out.solid[0] > 0, BEHIND: looksAway(camera(wide, tall)), DEBUG: kind === "debug",
+      OUTLINE: out.kept[0] > 0, SEAM: facts.seam > 0, BODY: out.solid[0] > 0, BEHIND: looksAway(camera(wide, tall)), DEBUG: kind === "debug", PHOTO: photoHalf !== null,
     };
     const head = Object.keys(has).filter(function (name) { return has[name]; }).map(function (name) { return "#define " + name + "\n"; }).join("")
       + "#define SAMPLES " + (kind === "fine" ? FINE : 1) + "\n";
@@ -214,7 +216,7 @@
       margin: facts.seam / 2 / p, opaque: facts.opaque ? 1 : 0, baffle: (facts.baffle || 0) / 2 / p,
       fieldFocus: f1, fieldPower: [0, 1].map(function (k) { return (made.power1[k] + made.power2[k]) * p; }),
       fieldCentre: q[0].concat(q[1]), objectAt: (made.offset[2] + state.object) / p, card: facts.card / p,
-      ghosts: state.ghosts, part: part,
+      ghosts: state.ghosts, part: part, photo: 1, photoHalf: photoHalf || [1, 1],
     };
   }
   function render(kind, wide, tall, part) {
@@ -223,7 +225,8 @@
     for (const name of NAMES) {
       const v = u[name], at = used.at[name];
       if (at === null) continue;
-      if (name === "turn") gl.uniformMatrix3fv(at, false, v);
+      if (name === "photo") gl.uniform1i(at, v); // unit 1
+      else if (name === "turn") gl.uniformMatrix3fv(at, false, v);
       else if (typeof v === "number") gl.uniform1f(at, v);
       else gl["uniform" + v.length + "fv"](at, v);
     }
@@ -290,6 +293,33 @@
   page.querySelector("[name=preset]").addEventListener("change", function (e) {
     state = started(); set(facts.presets[Number(e.target.value)][1]); say("");
   });
+  const chosen = page.querySelector("[name=photo]"), card = page.querySelector("[name=card]");
+  function lookAt(bitmap) { // show a picture of at most PHOTO pixels a side in place of the card; null: the card
+    card.disabled = bitmap === null;
+    photoHalf = null;
+    if (bitmap !== null) {
+      const most = Math.max(bitmap.width, bitmap.height), small = Math.min(1, PHOTO / most), copied = document.createElement("canvas");
+      copied.width = Math.max(1, Math.round(bitmap.width * small));
+      copied.height = Math.max(1, Math.round(bitmap.height * small));
+      copied.getContext("2d").drawImage(bitmap, 0, 0, copied.width, copied.height);
+      gl.activeTexture(gl.TEXTURE1);
+      gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
+      gl.pixelStorei(gl.UNPACK_FLIP_Y_WEBGL, true);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGB, gl.RGB, gl.UNSIGNED_BYTE, copied);
+      for (const side of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T]) gl.texParameteri(gl.TEXTURE_2D, side, gl.CLAMP_TO_EDGE);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+      gl.activeTexture(gl.TEXTURE0);
+      photoHalf = [bitmap.width / most, bitmap.height / most];
+    }
+    draw();
+  }
+  function opened(file) {
+    return createImageBitmap(file).then(function (bitmap) { lookAt(bitmap); say("Your photograph stands behind the sheet. It stays in this page."); },
+      function () { say("This file is no picture that the browser reads."); });
+  }
+  chosen.addEventListener("change", function () { if (chosen.files.length) opened(chosen.files[0]); });
+  card.addEventListener("click", function () { chosen.value = ""; lookAt(null); say("The card stands behind the sheet again."); chosen.focus(); });
+  chosen.disabled = !precise;
   function turned(dx, dy) { set({ azimuth: state.azimuth + 0.2 * dx, elevation: state.elevation + 0.2 * dy }); }
   function zoomed(by) { set({ fov: state.fov / by }); }
   webgl.handle(canvas, { moved: turned, zoomed: zoomed, reset: reset });
@@ -308,7 +338,7 @@
   set(fromFragment());
 
   window.explorer = { // for those who measure the page
-    set: set, reset: reset, state: function () { return Object.assign({}, state); }, toml: toml, camera: camera,
+    set: set, reset: reset, photo: opened, state: function () { return Object.assign({}, state); }, toml: toml, camera: camera,
     verdict: function () { return closedForms.verdict(made); },
     debug: function (part, wide, tall) { return aside(wide, tall, function (read) { render("debug", wide, tall, part); read(); }); },
     picture: function (wide, tall) { return aside(wide, tall, function (read) { render("fine", wide, tall, 0); read(); }); },

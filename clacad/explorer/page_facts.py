@@ -38,17 +38,10 @@ Range = tuple[float, float]
 class Slider:
     """One number that can be moved.
 
-    Parameters
-    ----------
-    id : str
-        Its name in the page's link.
-    label, group, unit : str
-    start, low, high : float
-        Lengths in the design's unit, angles in degrees.
-    log : bool
-        Equal ratios along the slider instead of equal steps.
-    about : str
-        What it is, one line.
+    id : Its name in the page's link.
+    start, low, high : Lengths in the design's unit, angles in degrees.
+    log : Equal ratios along the slider instead of equal steps.
+    about : What it is, one line.
     """
 
     id: str
@@ -193,10 +186,9 @@ def lines(design: Design) -> list[str | dict[str, Any]]:
     """Lines of the canonical text, those that sliders move as dictionaries.
 
     A moved line has `key` (what moves it), `start` (the line as long as nothing is moved; None: there is
-    none), `as` (what
-    precedes its value), `single` (one number, not a list) and `metres` (the value is a text in metres).
-    With no slider moved, the result is the canonical text. A slab given by its thickness gets the separation
-    it is moved to instead.
+    none), `as` (what precedes its value), `single` (one number, not a list) and `metres` (the value is a text
+    in metres). With no slider moved, the result is the canonical text. A slab given by its thickness gets the
+    separation it is moved to instead.
     """
     found: list[str | dict[str, Any]] = []
     section, missing = "", list(METRES)

@@ -309,12 +309,21 @@ void main() {
     : part < 2.5 ? vec4(halves(p.fate), index(p.first.x)) : vec4(halves(p.fate), index(p.first.y));
 }
 #else
+#ifdef PHOTO
+uniform sampler2D photo;
+uniform vec2 photoHalf; // half sides over the card's
+#endif
 /* A card of four colours with an F on it, on a chequered wall: it shows what is turned over, and how large. */
 vec3 wall(vec2 q) {
   vec2 a = abs(q), tile = fract(q * 3.0) - 0.5;
   float far = max(a.x, a.y), even = step(0.0, tile.x * tile.y);
   vec3 grey = mix(vec3(0.50, 0.55, 0.60), vec3(0.74, 0.78, 0.82), 1.0 - even);
   grey = mix(vec3(0.62, 0.66, 0.70), grey, 1.0 / (1.0 + 0.08 * far));
+#ifdef PHOTO
+  vec2 at = vec2(-q.x, q.y) / photoHalf; // x of the sheet is to the left of whoever looks towards +z
+  vec3 shown = texture2D(photo, 0.5 + 0.5 * at).rgb;
+  return mix(shown, grey, step(1.0, max(abs(at.x), abs(at.y))));
+#else
   vec2 s = step(0.0, q);
   vec3 c = mix(mix(vec3(0.93, 0.76, 0.30), vec3(0.36, 0.60, 0.80), s.y), mix(vec3(0.42, 0.70, 0.52), vec3(0.85, 0.45, 0.38), s.y), s.x);
   c = mix(c, vec3(1.0), 0.35 * even);
@@ -324,6 +333,7 @@ vec3 wall(vec2 q) {
   vec3 ink = step(0.0, box) * step(0.0, high);
   c = mix(c, vec3(0.12, 0.15, 0.19), max(step(0.94, far), max(ink.x, max(ink.y, ink.z))));
   return mix(c, grey, step(1.0, far));
+#endif
 }
 
 vec3 seen(vec3 d) {

@@ -31,14 +31,11 @@ GRID = 9
 class FirstVerdict:
     """What an eye may expect of a thin pair.
 
-    share, share_from_eye : float, 0 … 1
-        Of the light on a cell, what meets the partner: along the middle of the field, and of the light that
-        reaches the eye
-        as a mean over the sheet.
+    share, share_from_eye : 0 … 1. Of the light on a cell, what meets the partner: along the middle of the
+        field, and of the light that reaches the eye as a mean over the sheet.
     half_field, ghost_onset : (x, y), slopes in the lens frame
     sharpest_pitch : (x, y), lengths
-    advised_pitch : float, length
-        The sharpest pitch of the axis that is blurred more.
+    advised_pitch : length. The sharpest pitch of the axis that is blurred more.
     """
 
     share: float
@@ -56,11 +53,7 @@ class FirstVerdict:
 def first_verdict(window: Window, eye: float, distance: float) -> FirstVerdict:
     """Judge a window as the page does.
 
-    Parameters
-    ----------
-    window : Window
-    eye, distance : float, lengths
-        From the sheet to the eye on its axis, and to what it looks at.
+    eye, distance : lengths. From the sheet to the eye on its axis, and to what it looks at.
     """
     cells = thin_cells(window)
     middle = np.array([[*aperture_slope(window), 1.0]])
@@ -141,7 +134,10 @@ class Explored:
 def explore(
     design: Design, out: str | os.PathLike[str], overwrite: bool = False, *, dry_run: bool = False
 ) -> Explored:
-    """Write one self-contained page on which the numbers of a design are moved, live.
+    """Write one web page with sliders for the numbers of a design: the view through the sheet follows
+    them live.
+
+    The page is one file and loads nothing from a network.
 
     Parameters
     ----------
@@ -161,6 +157,14 @@ def explore(
         `out` is no page, or cannot be written.
     LimitRefused, NoSuchLens, DesignError
         The design has too many lenslets, or cannot be built.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> made = clacad.explore(design, "page.html", dry_run=True)
+    >>> made.bytes < 1_000_000
+    True
     """
     from clacad.explorer.page_facts import not_shown, places
     from clacad.exporting.limits import refuse_uncountable
@@ -183,9 +187,7 @@ def explore(
 def page(design: Design) -> str:
     """The page as one HTML text that needs no network; every text of the design is escaped in it.
 
-    Raises
-    ------
-    NoSuchLens, DesignError
+    Raises NoSuchLens, DesignError.
     """
     import json
 

@@ -45,15 +45,9 @@ def forecast(
 ) -> list[Forecast]:
     """Forecast each format.
 
-    Parameters
-    ----------
-    meshes : Meshes
-    words : sequence of str
-        Formats.
-    quads : int or mapping
-        Facet grid per cell side for the mesh formats: one for all, or one per format.
-    `asked` : Request
-        Options of STEP, GLB and GDSII.
+    words : Formats.
+    quads : Facet grid per cell side for the mesh formats: one for all, or one per format.
+    `asked` : Options of STEP, GLB and GDSII.
     """
     grids = dict.fromkeys(words, quads) if isinstance(quads, int) else quads
     return timed([format_of(word).forecast(meshes, grids.get(word, QUADS[-1]), asked) for word in words])
@@ -81,11 +75,7 @@ def prepare_seconds(quads: Iterable[int]) -> float:
 def rough_span(design: Design, request: Request) -> Span:
     """Processor seconds of an export on this machine, as a wide range.
 
-    Parameters
-    ----------
-    design : Design
-        With the cells that will be written.
-    request : Request
+    design : With the cells that will be written.
     """
     rates, sheet = Rates.here(), RoughSheet.of_design(design)
     grids = {name: _grid(design, request, name) for name in request.formats if format_of(name).is_mesh}

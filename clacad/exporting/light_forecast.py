@@ -59,16 +59,11 @@ CLOSE = 0.04
 class LightLimits:
     """Limits of the light through a file.
 
-    Parameters
-    ----------
-    rms, bias : float, radians
+    rms, bias : radians
         Direction error to the law over the field, and of the mean direction at a point of it.
-    stretch : float
-        Relative error of the ratio of slopes before and behind the sheet.
-    offset : float, slope
-        Error of the slope that leaves along the axis of the lenses.
-    defocus : float
-        Shift of array 2 along the sheet's normal that compensates the facets, over the distance of the
+    stretch : Relative error of the ratio of slopes before and behind the sheet.
+    offset : slope. Error of the slope that leaves along the axis of the lenses.
+    defocus : Shift of array 2 along the sheet's normal that compensates the facets, over the distance of the
         lenses.
     """
 
@@ -88,13 +83,9 @@ class LightLimits:
 class Grade:
     """Forecast of the light through facets; NaN where too few rays get through.
 
-    Parameters
-    ----------
-    quads : int
-        Facet grid a cell side; 0: the exact surfaces.
-    rms, bias : float, radians
-    stretch, offset, defocus : float
-        See `LightLimits`; difference to the exact surfaces over the same rays.
+    quads : Facet grid a cell side; 0: the exact surfaces.
+    rms, bias : radians
+    stretch, offset, defocus : See `LightLimits`; difference to the exact surfaces over the same rays.
     """
 
     quads: int
@@ -123,15 +114,9 @@ class Grade:
 class Grader:
     """Grades of the tessellations of one window, each traced once.
 
-    Parameters
-    ----------
-    meshes : Meshes
-        Source of the tessellations; meshes made here are kept for writing.
-    limits : LightLimits
-    field : float, radians
-        Half angle of the cone of test rays.
-    centre : "axis" or "normal"
-        Centre of the cone.
+    meshes : Source of the tessellations; meshes made here are kept for writing.
+    field : radians. Half angle of the cone of test rays.
+    centre : "axis" or "normal". Centre of the cone.
     """
 
     def __init__(self, meshes: Meshes, limits: LightLimits, field: float, centre: str = "axis") -> None:
@@ -310,14 +295,9 @@ class _Light:
 def telescopelet(window: Window, mesh: Mesh, bevel: float = 0.0, apart: bool = True) -> tuple[FacetBody, ...]:
     """Facets of one telescopelet of a mesh of one cell, ready to be traced.
 
-    Parameters
-    ----------
-    window : Window
-        Of any number of cells.
-    mesh : Mesh
-        Of a single cell.
-    bevel : float, length
-        Width of the bevels at saddles, which are no optical faces.
+    window : Of any number of cells.
+    mesh : Of a single cell.
+    bevel : length. Width of the bevels at saddles, which are no optical faces.
     apart : bool
         Whether each body was meshed about the centre of its own array's cell; otherwise in sheet coordinates.
     """
@@ -332,7 +312,7 @@ def telescopelet(window: Window, mesh: Mesh, bevel: float = 0.0, apart: bool = T
             facet_face(mine + place, place + [0.0, 0.0, body.front.vertex[2]], on_land(window, face, mine))
             for face, mine in ((body.front, corners[~back]), (body.back, corners[back]))
         ]
-        bodies.append(FacetBody(faces[0], faces[1], body.index, body.joined))
+        bodies.append(FacetBody(faces[0], faces[1], body))
     return tuple(bodies)
 
 

@@ -39,17 +39,9 @@ MOST_CELLS = 10_000_000
 QUADS = (64, 32, 16, 8, 4)
 """Facet grids per cell side from which "auto" chooses, finest first."""
 
-MOST_WELDED = 8_000_000
-"""Largest number of facets that are welded into shared vertices in memory."""
-
 
 def refuse_uncountable(design: Design) -> None:
-    """Refuse a design of more than `MOST_CELLS` lenslets; integer arithmetic only.
-
-    Raises
-    ------
-    LimitRefused
-    """
+    """Refuse a design of more than `MOST_CELLS` lenslets; integer arithmetic only. Raises LimitRefused."""
     n1, n2 = (int(n) for n in design.lattice.count)
     refuse_cells(n1, n2)
 
@@ -57,17 +49,9 @@ def refuse_uncountable(design: Design) -> None:
 def refuse_early(design: Design, words: Sequence[str], quads: Mapping[str, Quads]) -> None:
     """Refuse a design whose count of lenslets alone exceeds the limits; integer arithmetic only.
 
-    Parameters
-    ----------
-    design : Design
-    words : sequence of str
-        Formats.
-    quads : mapping
-        Format → requested facet grid; the coarsest is used if none or "auto" was requested.
-
-    Raises
-    ------
-    LimitRefused
+    words : Formats.
+    quads : Format → requested facet grid; the coarsest is used if none or "auto" was requested.
+    Raises LimitRefused.
     """
     refuse_uncountable(design)
     n1, n2 = design.lattice.count
@@ -90,12 +74,7 @@ def refuse_early(design: Design, words: Sequence[str], quads: Mapping[str, Quads
 
 
 def refuse_cells(n1: int, n2: int) -> None:
-    """Refuse more than `MOST_CELLS` lenslets.
-
-    Raises
-    ------
-    LimitRefused
-    """
+    """Refuse more than `MOST_CELLS` lenslets. Raises LimitRefused."""
     if n1 * n2 > MOST_CELLS:
         side = isqrt(MOST_CELLS)
         raise LimitRefused(
@@ -130,10 +109,7 @@ def _refuse_facets(
 def quads_for_slope(window: Window, slope_error: float, force: bool = False) -> int:
     """Least number of quads per cell side whose rms slope error is at most the requested one (radians).
 
-    Raises
-    ------
-    LimitRefused
-        The files would exceed the limits; the message gives the slope error that they allow.
+    Raises LimitRefused: The files would exceed the limits; the message gives the slope error that they allow.
     """
     from clacad.exporting.tessellations import one_cell
     from clacad.mesh import forecast_quads
@@ -159,23 +135,13 @@ def facets_at_least(window: Window, quads: int) -> int:
 def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -> None:
     """Compare a forecast with the limits: facets, bytes per file, free memory, free disk.
 
-    Raises
-    ------
-    LimitRefused
-        The message gives the number, the limit, and two ways to stay below it.
+    Raises LimitRefused: The message gives the number, the limit, and two ways to stay below it.
     """
     memory, disk = free_memory(), free_disk(folder)
     for row in rows:
         family = format_of(row.format).family
         if row.facets is not None and row.quads is not None and family == "stream":
             _refuse_facets(row.format, row.facets, row.quads, window.lattice.count, at_least=False)
-        held = row.facets if row.stored is None else row.stored
-        if family == "welded" and held is not None and held > MOST_WELDED:
-            raise LimitRefused(
-                f"{row.format}: {number_text(held)} facets with shared vertices are more than"
-                f" {number_text(MOST_WELDED)}; use fewer quads or fewer cells, or stl, which is a stream (or"
-                " force it)"
-            )
         if row.bytes > MOST_BYTES:
             raise LimitRefused(
                 f"{row.format}: about {size_text(row.bytes)} are more than {size_text(MOST_BYTES)} a file; "
@@ -197,21 +163,11 @@ def refuse_over_limits(window: Window, rows: Sequence[Forecast], folder: Path) -
 def refuse_many_places(window: Window, word: str, listed: int, what: str, most: int, way: str) -> None:
     """Refuse a file that lists more repeated cells than its reader takes; forcing it does not help.
 
-    Parameters
-    ----------
-    window : Window
-    word : str
-        Format.
-    listed, most : int
-        Number of listed items, and the limit of the reader.
-    what : str
-        Kind of the items, in the plural.
-    way : str
-        Options that avoid them.
-
-    Raises
-    ------
-    LimitRefused
+    word : Format.
+    listed, most : Number of listed items, and the limit of the reader.
+    what : Kind of the items, in the plural.
+    way : Options that avoid them.
+    Raises LimitRefused.
     """
     if listed > most:
         bodies = len(window.bodies)
@@ -273,10 +229,8 @@ class Refusals:
     def complete(self) -> None:
         """Refuse the export if any format was.
 
-        Raises
-        ------
-        ExportError, ValueError
-            The refusal, if there is only one; else their common type, or `NotPossible`, with all of them.
+        Raises ExportError, ValueError: The refusal, if there is only one; else their common type, or
+            `NotPossible`, with all of them.
         """
         by_text: dict[str, list[str]] = {}
         for name, error in self._found.items():
@@ -298,45 +252,50 @@ def _line(formats: list[str], text: str) -> str:
 
 
 def refuse_other_cells(window: Window, word: str) -> None:
-    """Refuse a format that cannot hold the cells of a non-uniform sheet.
-
-    Raises
-    ------
-    CellsDiffer
-    """
-    if not format_of(word).holds(window):
+    """Refuse a format that cannot hold the cells of a non-uniform sheet. Raises CellsDiffer."""
+    one = format_of(word)
+    if not one.holds(window):
         from clacad.sheet.need_window import need_equal_cells
+        from clacad.sheet.representative_cells import central_cell
 
         held = sorted((one for one in formats() if one.holds(window)), key=lambda one: one.family != "exact")
+        way = "--cell {},{} takes one cell of it; ".format(*central_cell(window)) if one.of_cell else ""
         listed = ", ".join(one.word for one in held)
-        need_equal_cells(window, f"format {word}", f"such sheets are held by: {listed}")
+        need_equal_cells(window, f"format {word}", f"{way}such sheets are held by: {listed}")
+
+
+def refuse_no_cell(window: Window, cell: tuple[int, int]) -> None:
+    """Refuse a cell that the sheet does not have. Raises BadRequest with the range of the indices."""
+    (i, j), lattice = cell, window.lattice
+    own: list[int] = lattice.row(j)[:, 0].tolist() if 0 <= j < lattice.count[1] else []
+    if i in own:
+        return
+    if own:
+        raise BadRequest(f"cell {i},{j}: row {j} of the sheet has the cells {own[0]},{j} to {own[-1]},{j}")
+    rows = [k for k in range(lattice.count[1]) if len(lattice.row(k))]
+    raise BadRequest(f"cell {i},{j}: the sheet has cells in rows j = {rows[0]} to {rows[-1]}")
 
 
 def require_possible(window: Window, word: str, asked: Request, worker: Worker) -> None:
     """Refuse a format that is impossible for a design; only long text in a small space needs the worker.
 
-    Raises
-    ------
-    NotPossible, NoFixture, LimitRefused, CannotBuild
-    CellsDiffer
-        The format holds uniform sheets only.
-    WorkerDied
-        The letters could not be drawn.
+    Raises NotPossible, NoFixture, LimitRefused, CannotBuild.
+    Raises CellsDiffer: The format holds uniform sheets only.
+    Raises WorkerDied: The letters could not be drawn.
     """
-    refuse_other_cells(window, word)
-    format_of(word).require(window, asked, worker)
+    one = format_of(word)
+    sheet = one.sheet_of(window, asked)
+    refuse_other_cells(sheet, word)
+    one.require(sheet, asked, worker)
 
 
-def refuse_idle_fused(asked: Request) -> None:
-    """Refuse the option `fused` where no requested format has it.
-
-    Raises
-    ------
-    BadRequest
-    """
-    fusable = [one.word for one in formats() if one.fusable]
-    if asked.fused and set(asked.formats) <= {one.word for one in formats() if not one.fusable}:
-        raise BadRequest(
-            f"fused: it applies to {', '.join(fusable)}, and the requested formats are"
-            f" {', '.join(asked.formats)}; leave it out"
-        )
+def refuse_idle(asked: Request) -> None:
+    """Refuse the options `fused` and `cell` where no requested format has them. Raises BadRequest."""
+    fusable = {one.word: one.fusable for one in formats()}
+    of_cell = {one.word: one.of_cell for one in formats()}
+    for name, given, has in (("fused", asked.fused, fusable), ("cell", asked.cell is not None, of_cell)):
+        if given and not any(has.get(word, True) for word in asked.formats):
+            raise BadRequest(
+                f"{name}: it applies to {', '.join(word for word in has if has[word])}, and the requested"
+                f" formats are {', '.join(asked.formats)}; leave it out"
+            )

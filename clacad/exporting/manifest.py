@@ -35,25 +35,17 @@ FORMAT = 1
 class FileRecord:
     """One file of an export; facts that do not apply to its format are left out of the manifest.
 
-    Parameters
-    ----------
     name, sha256, bytes, format
-    unit : str
-        Unit of the file's numbers.
-    bodies : tuple of str
-    facts : mapping
-        Keys of the manifest that the format has: mode, solids, faces, triangles, quads, slope_error_rms,
+    unit : Unit of the file's numbers.
+    facts : Keys of the manifest that the format has: mode, solids, faces, triangles, quads, slope_error_rms,
         sag_error_max, float, volume, volume_exact (file's unit cubed), saddles, wedges, merged_steps,
         fit_error and rim_error (mm; largest distance of fitted lens faces and fitted rims from the true
-        ones),
-        left_out (sentences: what the format cannot hold), objects and instances (meshes; of each object).
-    checks : tuple of str
-        Comparisons with the design that passed when the file was read back.
-    role : mapping
-        What the file is for: role, role_declared; of meshes forecast_law_rms (radians; None: too little
-        light gets
-        through), forecast_beyond (keys of the limits not kept), role_overstated (declared a
-        master all the same) and, of previews, master_quads and master_bytes (None: no grid makes a master).
+        ones), left_out (sentences: what the format cannot hold), objects and instances (meshes; of each
+        object).
+    checks : Comparisons with the design that passed when the file was read back.
+    role : What the file is for: role, role_declared; of meshes forecast_law_rms (radians; None: too little
+        light gets through), forecast_beyond (keys of the limits not kept), role_overstated (declared a master
+        all the same) and, of previews, master_quads and master_bytes (None: no grid makes a master).
     """
 
     name: str
@@ -87,13 +79,8 @@ class FileRecord:
 class Manifest:
     """Result of `export`: the folder and the manifest in it.
 
-    Parameters
-    ----------
-    folder : Path
-    document : mapping
-        The content of manifest.json.
-    run : mapping
-        Seconds and memory of this run; also in run.json.
+    document : The content of manifest.json.
+    run : Seconds and memory of this run; also in run.json.
     """
 
     folder: Path
@@ -109,13 +96,7 @@ class Manifest:
         return tuple(self.document["files"])
 
     def path(self, format: str) -> Path:
-        """Path of the first file of a format ("stl-binary", "step", …).
-
-        Raises
-        ------
-        KeyError
-            There is none.
-        """
+        """Path of the first file of a format ("stl-binary", "step", …). Raises KeyError: There is none."""
         for entry in self.files:
             if entry["format"] == format:
                 return self.folder / str(entry["name"])
@@ -136,18 +117,10 @@ def document(
 ) -> dict[str, Any]:
     """Build the content of manifest.json.
 
-    Parameters
-    ----------
-    design : Design
-    window : Window
-        As written; its count may be smaller than the design's.
-    records : sequence of FileRecord
-    options : mapping
-        Options of this export.
-    versions : mapping
-        Versions of the programs that the bytes depend on.
-    counts : mapping
-        "pieces" and "holes" of each body.
+    window : As written; its count may be smaller than the design's.
+    options : Options of this export.
+    versions : Versions of the programs that the bytes depend on.
+    counts : "pieces" and "holes" of each body.
     """
     return {
         "format": FORMAT,
@@ -220,19 +193,9 @@ def carried_over(folder: Path, new: Mapping[str, Any]) -> list[dict[str, Any]]:
 class Job:
     """Inputs of every format: the window, the folder, the meshes, the worker.
 
-    Parameters
-    ----------
-    window : Window
-    stem : str
-        First part of every file name.
-    stage : Stage
-    tessellation : Tessellation
-    worker : Worker
-    request : Request
-        Options of the export.
-    progress : callable
-    design : Design
-        Design as requested; the window has the cells that are written.
+    stem : First part of every file name.
+    request : Options of the export.
+    design : Design as requested; the window has the cells that are written.
     """
 
     window: Window

@@ -33,6 +33,9 @@ T = TypeVar("T")
 COARSEST = 4
 """Facets per cell side of a declared preview without a requested grid."""
 
+MOST_WELDED = 8_000_000
+"""Largest number of facets with shared vertices that "auto" chooses."""
+
 COUNTED = (8, 16)
 """Grids whose facets are counted; the facets of other grids are computed from them."""
 
@@ -46,10 +49,7 @@ TRACED = 256
 def asked_quads(asked: AskedQuads, formats: Sequence[str]) -> dict[str, Quads]:
     """Requested facet grid of each exported mesh format.
 
-    Raises
-    ------
-    BadRequest
-        A value that is no grid, a format that is unknown, has no facets or is not exported.
+    Raises BadRequest: A value that is no grid, a format that is unknown, has no facets or is not exported.
     """
     meshes = [one.word for one in registry.formats() if one.is_mesh]
     lacking = f"for {{}}: it has no facets; formats that have: {', '.join(meshes)}"
@@ -59,10 +59,7 @@ def asked_quads(asked: AskedQuads, formats: Sequence[str]) -> dict[str, Quads]:
 def asked_roles(asked: AskedRole, formats: Sequence[str]) -> dict[str, Role]:
     """Declared role of each exported format.
 
-    Raises
-    ------
-    BadRequest
-        A word that is no role, a format that is unknown, carries no light or is not exported.
+    Raises BadRequest: A word that is no role, a format that is unknown, carries no light or is not exported.
     """
     dark = [one.word for one in registry.formats() if not one.optical]
     lacking = "of {}: no light of the law goes through it, so it has none to declare"
@@ -161,7 +158,7 @@ class Sizes:
         facets = self.facets(format, quads)
         if format_of(format).family == "stream":
             return facets <= limits.MOST_FACETS and stream_bytes(facets) <= limits.MOST_BYTES
-        return facets <= limits.MOST_WELDED and self.bytes(format, quads) <= limits.MOST_BYTES
+        return facets <= MOST_WELDED and self.bytes(format, quads) <= limits.MOST_BYTES
 
     def finest(self, format: str) -> int:
         """Finest grid of "auto" that fits, or the coarsest grid if none fits."""
@@ -186,11 +183,9 @@ class Sizes:
 class Needed:
     """Grid and size of a master of one format.
 
-    quads : int, a cell side
-    bytes : int
-        Approximate size of the file.
-    fits : bool
-        Whether an export would write it without `force`.
+    quads : a cell side
+    bytes : Approximate size of the file.
+    fits : Whether an export would write it without `force`.
     """
 
     quads: int
@@ -220,10 +215,7 @@ def chosen_quads(grader: Grader, request: Request, formats: Sequence[str]) -> di
     there is none, it is the finest grid within the limits, up to `FINE`: a preview. A declared preview has
     the coarsest grid.
 
-    Raises
-    ------
-    LimitRefused
-        The facets for the requested slope error exceed the limits.
+    Raises LimitRefused: The facets for the requested slope error exceed the limits.
     """
     chosen: dict[str, int] = {}
     sizes = Sizes(grader.meshes)

@@ -24,20 +24,12 @@ AskedRole = str | Mapping[str, str] | None
 class Option:
     """Command-line form and allowed values of one export option.
 
-    Parameters
-    ----------
-    flag : str
-        As typed; of a switch that is on by default, with its opposite.
-    help : str
-        "{formats}" is replaced by the words of all formats.
-    metavar : str or None
-        Placeholder of the value in the help.
-    words : tuple of str
-        Allowed words; empty: any text that the option's reader accepts.
-    least, most : int or None
-        Range of a whole number.
-    rare : bool
-        Recorded in the manifest only if it differs from the default.
+    flag : As typed; of a switch that is on by default, with its opposite.
+    help : "{formats}" is replaced by the words of all formats.
+    metavar : Placeholder of the value in the help.
+    words : Allowed words; empty: any text that the option's reader accepts.
+    least, most : Range of a whole number.
+    rare : Recorded in the manifest only if it differs from the default.
     """
 
     flag: str
@@ -59,52 +51,37 @@ def _declared(default: Any, option: Option) -> Any:
 class Request:
     """Options of an export.
 
-    Parameters
-    ----------
-    formats : sequence of str
-        Words of `clacad.exporting.formats`; `clacad explain formats` lists them.
+    formats : Words of `clacad.exporting.formats`; `clacad explain formats` lists them.
     slope_error : float or "auto"
         Wanted rms angle between facets and surface, radians; "auto" chooses the facets of each format by the
         light through them, as `quads` "auto" does. If no master stays within the limits, it writes a declared
         preview of at most 64 quads per cell side. Files declared previews are left out.
-    quads : mapping; of `export` also int, "auto" or None
-        Facet grid per cell side of each mesh format, as in {"3mf": "auto", "stl": 4}; a single value applies
-        to all. Overrides `slope_error`. "auto" is the smallest power of two from 4 to 1024 through which
-        light is forecast to meet the design's limits (within 95 %), if such a file stays within the limits of
-        facets and bytes; else the finest that does. For formats that repeat one cell (3MF, GLB), the limits
-        apply to the stored cell.
-    step : "auto", "fused" or "instanced"
-        auto is fused up to 2,500 cells.
-    cells : (a, b) or None
-        The same design with another count, centred.
-    overwrite : bool
-        Replace files that are in no manifest of clacad.
-    force : bool
-        Ignore the limits on facets, bytes and memory.
-    step_schema : "ap242" or "ap214"
-        Application protocol of STEP files.
-    pcurves : bool
-        Whether fused STEP files hold the exact parameter curves; without them they are smaller and readers
-        recompute the curves.
-    saddle_bevel : float, length
-        Meshes: width of the bevels that give columns which touch at a saddle real contact; 0: none, the
-        columns
-        touch and the surface is exact. STEP is exact always.
-    gpu_instancing : bool
-        GLB: one node for all cells of a body (EXT_mesh_gpu_instancing) instead of one each.
-    grey_levels : int
-        GDSII: number of layers from the lowest to the highest point of a face.
+    quads : mapping; of `export` also int, "auto" or None. Facet grid per cell side of each mesh format, as in
+        {"3mf": "auto", "stl": 4}; a single value applies to all. Overrides `slope_error`. "auto" is the
+        smallest power of two from 4 to 1024 through which light is forecast to meet the design's limits
+        (within 95 %), if such a file stays within the limits of facets and bytes; else the finest that does.
+        For formats that repeat one cell (3MF, GLB), the limits apply to the stored cell.
+    step : "auto", "fused" or "instanced". auto is fused up to 2,500 cells.
+    cells : (a, b) or None. The same design with another count, centred.
+    cell : (i, j) or None. Cell that formats of one cell describe, an index of the lattice that is written; a
+        non-uniform sheet needs it.
+    overwrite : Replace files that are in no manifest of clacad.
+    force : Ignore the limits on facets, bytes and memory.
+    step_schema : "ap242" or "ap214". Application protocol of STEP files.
+    pcurves : Whether fused STEP files hold the exact parameter curves; without them they are smaller and
+        readers recompute the curves.
+    saddle_bevel : length. Meshes: width of the bevels that give columns which touch at a saddle real contact;
+        0: none, the columns touch and the surface is exact. STEP is exact always.
+    gpu_instancing : GLB: one node for all cells of a body (EXT_mesh_gpu_instancing) instead of one each.
+    grey_levels : GDSII: number of layers from the lowest to the highest point of a face.
     role : mapping; of `export` also "master", "preview" or None
         Role of the files of each format, as in {"stl": "preview"}; a single value applies to all. An
         undeclared mesh is a master if the light through it is forecast within the design's limits, else a
         preview. That preview counts as declared if `quads` and `slope_error` were left out too. A preview
         declared here has 4 quads per cell side unless specified. Everything else with optics is a master.
-    paper : "a4", "a3" or "a2"
-        Sheets of the drawing.
-    fused : bool
-        One solid a connected piece in STEP (`step` is then "fused") and one mesh a body in 3MF and GLB,
-        which otherwise
-        repeat one cell of a uniform sheet without border.
+    paper : "a4", "a3" or "a2". Sheets of the drawing.
+    fused : One solid a connected piece in STEP (`step` is then "fused") and one mesh a body in 3MF and GLB,
+        which otherwise repeat one cell of a uniform sheet without border.
     """
 
     formats: tuple[str, ...] = _declared(
@@ -133,6 +110,15 @@ class Request:
     )
     cells: tuple[int, int] | None = _declared(
         None, Option("--cells", "A x B cells of the design, centred; default all.", "AxB")
+    )
+    cell: tuple[int, int] | None = _declared(
+        None,
+        Option(
+            "--cell",
+            "Cell that formats of one cell describe; all of a uniform sheet are equal.",
+            "I,J",
+            rare=True,
+        ),
     )
     overwrite: bool = _declared(False, Option("--overwrite", "Replace files of another origin."))
     force: bool = _declared(False, Option("--force", "Pass the limits on facets, bytes and memory."))
@@ -187,13 +173,7 @@ class Request:
     )
 
     def __post_init__(self) -> None:
-        """Apply `fused` to the STEP mode.
-
-        Raises
-        ------
-        BadRequest
-            Fused and instanced are requested together.
-        """
+        """Apply `fused` to the STEP mode. Raises BadRequest: Fused and instanced are requested together."""
         if self.fused and self.step == "instanced":
             raise BadRequest(
                 "fused and step = instanced: STEP is either one or the other; leave one of them out"
@@ -211,6 +191,7 @@ class Request:
             "cells": None if self.cells is None else list(self.cells),
         }
         rare = {name: getattr(self, name) for name, option in OPTIONS.items() if option.rare}
+        rare["cell"] = None if self.cell is None else list(self.cell)
         asked = {name: value for name, value in rare.items() if value != getattr(DEFAULTS, name)}
         roles = {"role": {name: str(role) for name, role in self.role.items()}} if self.role else {}
         return plain | asked | roles
@@ -220,6 +201,7 @@ class MoreOptions(TypedDict, total=False):
     """Fields of `Request` that `clacad.export` takes by keyword only and hands on unchanged."""
 
     cells: tuple[int, int] | None
+    cell: tuple[int, int] | None
     overwrite: bool
     force: bool
     step_schema: Literal["ap242", "ap214"]

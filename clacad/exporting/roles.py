@@ -37,21 +37,14 @@ WORDS: Mapping[str, Role] = {
 class Prospect:
     """Role of a file, and the forecast of the light through it.
 
-    Parameters
-    ----------
-    role : Role
-    declared : bool
-        Whether the role was requested; otherwise the forecast decided.
-    quads : int or None
-        Facet grid per cell side; None: the file has no facets, and the following values are unused.
+    declared : Whether the role was requested; otherwise the forecast decided.
+    quads : Facet grid per cell side; None: the file has no facets, and the following values are unused.
     law_rms : float or None, radians
         Rms direction error to the law; None where too little light gets through.
-    limit : float, radians
-    beyond : tuple of str
-        Limits of the design that the light is forecast to exceed, by their keys.
-    master_quads, master_bytes : int or None
-        Facets, and size of the file, that a master of this format would take; None: no grid up to 1024 makes
-        one.
+    limit : radians
+    beyond : Limits of the design that the light is forecast to exceed, by their keys.
+    master_quads, master_bytes : Facets, and size of the file, that a master of this format would take; None:
+        no grid up to 1024 makes one.
     """
 
     role: Role
@@ -87,14 +80,11 @@ class Prospect:
 class Holding:
     """How a family of formats stores a vertex.
 
-    Parameters
-    ----------
     origin : "sheet", "cell" or "face"
         Origin of coordinates; "face": heights alone, from the face's reference plane.
     kind : "exact", "f64", "f32" or "levels"
         "exact" undoes the mesher's steps: vertices on the surfaces, as a reference.
-    levels : int
-        Steps of a height map over the range of a face's heights.
+    levels : Steps of a height map over the range of a face's heights.
     """
 
     origin: str = "sheet"
@@ -106,13 +96,8 @@ class Holding:
 class Storing:
     """A way in which formats store a part.
 
-    Parameters
-    ----------
-    note : str
-    holding : Holding or None
-        None: the surfaces themselves, or nothing optical.
-    normals : "facet", "vertex" or ""
-        Normals at which a reader refracts.
+    holding : None: the surfaces themselves, or nothing optical.
+    normals : "facet", "vertex" or "". Normals at which a reader refracts.
     """
 
     note: str

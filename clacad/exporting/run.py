@@ -15,17 +15,18 @@ from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from clacad.base import log
+from clacad.base.interactive import shown_progress
 from clacad.base.machine_rates import Rates, Span, seconds_of, total
-from clacad.base.types import Progress, silent
+from clacad.base.types import Progress
 from clacad.base.untrusted_files import BUDGETS, read_regular
 from clacad.design.cell_table import digest, table_path
 from clacad.exporting import limits
 from clacad.exporting.forecast import PREPARE, forecast, prepare_seconds
-from clacad.exporting.formats.format import Forecast
+from clacad.exporting.formats.format import Forecast, cell_words
 from clacad.exporting.formats.registry import format_of, known
 from clacad.exporting.formats.table import CELL_TABLE
 from clacad.exporting.light_forecast import Grader
-from clacad.exporting.limits import Refusals, refuse_idle_fused, require_possible
+from clacad.exporting.limits import Refusals, refuse_idle, require_possible
 from clacad.exporting.manifest import FileRecord, Job, Manifest, carried_over, document
 from clacad.exporting.quads_and_roles import asked_quads, asked_roles, chosen_quads, with_prospects
 from clacad.exporting.request import DEFAULTS, OPTIONS, MoreOptions, Request
@@ -56,10 +57,7 @@ if TYPE_CHECKING:
 def copied_table(design: Design, stage: Stage) -> list[FileRecord]:
     """Copy the table into the stage; return its manifest entry, or none for a design without a table.
 
-    Raises
-    ------
-    FileDisagrees
-        The table has changed since the design was read.
+    Raises FileDisagrees: The table has changed since the design was read.
     """
     spec = design.law_spec.varying
     if spec is None or spec.table is None:
@@ -83,7 +81,7 @@ CAD_MODULES = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
 
 def run_export(design: Design, out: str, request: Request, progress: Progress | None) -> Manifest:
     """Do what `clacad.exporting.run.export` promises."""
-    report = progress if progress is not None else silent
+    report = shown_progress(progress)
     formats = _formats(request)
     made = design if request.cells is None else design.with_cells(request.cells)
     _refuse_by_count(made, formats, request)
@@ -92,7 +90,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
         if any(format_of(name).kernel for name in formats):
             worker.start()  # OCC loads while the design is prescribed and forecast
         report("forecast", 0.0)
-        window = _prescribed(made)
+        window = _prescribed(made, request)
         meshes = Meshes(window, request.saddle_bevel, request.fused)
         rows = _forecast(made, meshes, formats, request, (Path(out), worker))
         quads = {row.quads for row in rows if row.quads is not None}
@@ -131,25 +129,15 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
 def forecast_rows(design: Design, request: Request, out: Path | None = None) -> list[Forecast]:
     """Cost of an export, format by format; writes nothing.
 
-    Parameters
-    ----------
-    design : Design
-    request : Request
-    out : Path or None
-        The target folder: the refusals of `export` apply here too, those of size unless forced. None: rows of
-        any size, and of files that the design cannot have, are returned.
-
-    Raises
-    ------
-    DesignError, NotPossible, LimitRefused, CannotBuild
-        The refusals of all formats together.
-    CannotWrite
-        The folder cannot be made or written to.
+    out : The target folder: the refusals of `export` apply here too, those of size unless forced. None: rows
+        of any size, and of files that the design cannot have, are returned.
+    Raises DesignError, NotPossible, LimitRefused, CannotBuild: The refusals of all formats together.
+    Raises CannotWrite: The folder cannot be made or written to.
     """
     made = design if request.cells is None else design.with_cells(request.cells)
     formats = _formats(request)
     _refuse_by_count(made, formats, request)
-    meshes = Meshes(_prescribed(made), request.saddle_bevel, request.fused)
+    meshes = Meshes(_prescribed(made, request), request.saddle_bevel, request.fused)
     if out is None:
         return _forecast(made, meshes, formats, request, None)
     with ended_by_signals(), Worker(memory=worker_memory()) as worker:
@@ -159,22 +147,19 @@ def forecast_rows(design: Design, request: Request, out: Path | None = None) -> 
 def refuse_impossible(design: Design, request: Request) -> None:
     """Refuse impossible formats, and a cell count beyond the limits, before any other work.
 
-    Raises
-    ------
-    DesignError, NotPossible, LimitRefused, CannotBuild
-        The refusals of all formats together.
+    Raises DesignError, NotPossible, LimitRefused, CannotBuild: The refusals of all formats together.
     """
     made = design if request.cells is None else design.with_cells(request.cells)
     formats = _formats(request)
     _refuse_by_count(made, formats, request)
     with ended_by_signals(), Worker(memory=worker_memory()) as worker:
-        _impossible(made, _prescribed(made), formats, request, worker).complete()
+        _impossible(made, _prescribed(made, request), formats, request, worker).complete()
 
 
 def _formats(request: Request) -> tuple[str, ...]:
     """Requested formats, all known and none with an option that it lacks."""
     formats = known(request.formats)
-    refuse_idle_fused(request)
+    refuse_idle(request)
     return formats
 
 
@@ -245,7 +230,11 @@ def _priced(grader: Grader, formats: tuple[str, ...], request: Request, refused:
     for name in formats:
         if name not in refused:
             with refused.of(name):
-                rows += forecast(grader.meshes, [name], quads, request)
+                kind, whole = format_of(name), grader.meshes.window
+                sheet, note = kind.sheet_of(whole, request), cell_words(kind.cell_facts(whole, request))
+                meshes = grader.meshes if sheet is whole else Meshes(sheet)
+                found = forecast(meshes, [name], quads, request)
+                rows += [replace(row, note=note or row.note) for row in found]
     return rows
 
 
@@ -258,10 +247,14 @@ def in_all(rows: Sequence[Forecast]) -> Span:
     )
 
 
-def _prescribed(design: Design) -> Window:
+def _prescribed(design: Design, request: Request) -> Window:
+    """The sheet as built, which has the requested cell."""
     from clacad.prescription.prescribe import prescribe
 
-    return prescribe(design)
+    window = prescribe(design)
+    if request.cell is not None:
+        limits.refuse_no_cell(window, request.cell)
+    return window
 
 
 def _produced(
@@ -282,7 +275,10 @@ def _produced(
         try:
             with translated(job.stage.folder):
                 one = job if row.quads is None else replace(job, tessellation=meshes.at(row.quads))
-                records += [_with_role(record, row) for record in format_of(name).write(one)]
+                kind = format_of(name)
+                one = replace(one, window=kind.sheet_of(job.window, job.request))
+                cell = kind.cell_facts(job.window, job.request)
+                records += [_with_facts(record, row, cell) for record in kind.write(one)]
         except (ExportError, MemoryError, ValueError) as error:
             failures[name] = _failure(name, error)
             log.note("failure", format=name, sentence=str(error), details=getattr(error, "details", ""))
@@ -296,8 +292,9 @@ def _produced(
     return records, failures, seconds
 
 
-def _with_role(record: FileRecord, row: Forecast) -> FileRecord:
-    return record if row.prospect is None else replace(record, role=row.prospect.entry())
+def _with_facts(record: FileRecord, row: Forecast, facts: Mapping[str, Any]) -> FileRecord:
+    role = record.role if row.prospect is None else row.prospect.entry()
+    return replace(record, role=role, facts={**record.facts, **facts})
 
 
 def _used(worker: Worker) -> float:
@@ -354,7 +351,9 @@ def export(
     progress: Progress | None = None,
     **options: Unpack[MoreOptions],
 ) -> Manifest:
-    """Write a design's files into a folder. Each is read back and compared before all are published together.
+    """Make the part: write a design as STEP solids, meshes, maps or tables, with a manifest of their hashes.
+
+    Each file is read back and compared with the design before all are published together.
 
     Parameters
     ----------
@@ -378,6 +377,15 @@ def export(
         Nothing was published; the message gives the reason and a remedy.
     ExportIncomplete
         Some formats failed; the others were published.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> from tempfile import mkdtemp
+    >>> made = clacad.export(design, mkdtemp(), ["stl"], quads=4)
+    >>> [(file["name"], file["role"]) for file in made.files]
+    [('slab.stl', 'shape-preview')]
     """
     grids, roles = asked_quads(quads, formats), asked_roles(role, formats)
     request = Request(tuple(formats), slope_error, grids, step, role=roles, **options)

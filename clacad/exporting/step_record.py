@@ -17,8 +17,8 @@ from clacad.storage.errors import FileDisagrees
 if TYPE_CHECKING:
     from clacad.exporting.manifest import Job
     from clacad.formats.step.lens_placements import SheetPlace
+    from clacad.formats.step.part21 import Mode
     from clacad.formats.step.step_files import Schema
-    from clacad.formats.step.step_mode import Mode
 
 SHAPE_LIMIT = 1e-7
 """Largest distance of a written lens face from the closed form, in pitches."""
@@ -34,12 +34,8 @@ SECONDS = 3600.0
 def step_record(job: Job, word: str) -> FileRecord:
     """Write the STEP file of a job, read it back and compare; `word`: its format in manifests.
 
-    Raises
-    ------
-    WorkerDied
-        OCC crashed, or ran out of memory or time.
-    FileDisagrees
-        The file differs from the design.
+    Raises WorkerDied: OCC crashed, or ran out of memory or time.
+    Raises FileDisagrees: The file differs from the design.
     """
     name = f"{job.stem}.step"
     path = job.stage.path(name)
@@ -116,9 +112,7 @@ def compare_step(
 ) -> tuple[str, ...]:
     """Compare the file as read back with the written facts and the design; return the checks that were made.
 
-    Raises
-    ------
-    FileDisagrees
+    Raises FileDisagrees.
     """
     if found["dangling"] or found["open_edges"]:
         raise FileDisagrees(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from clacad.base.arrays import same_rows
 from clacad.base.types import Floats
 from clacad.formats.mesh.compare_triangles import Promise
-from clacad.formats.placements import Piece, Places
+from clacad.formats.placements import Block, Piece, Places
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.window import Body, Window
@@ -31,13 +31,8 @@ borders."""
 class Tessellation:
     """A window, its mesh, and the mesh of one cell, which is sufficient for a uniform sheet.
 
-    Parameters
-    ----------
-    window : Window
-    quads : int
-        Facet grid a cell side.
-    saddle_bevel : float, length
-        Width of the bevels at saddles; 0: columns that touch keep vertices of their own.
+    quads : Facet grid a cell side.
+    saddle_bevel : length. Width of the bevels at saddles; 0: columns that touch keep vertices of their own.
     """
 
     window: Window
@@ -93,14 +88,16 @@ class Tessellation:
         """
         mesh = self.cell if instanced else self.mesh
         window = one_cell(self.window) if instanced else self.window
-        found = []
-        for body, part in zip(window.bodies, mesh.bodies, strict=True):
-            places = self._places(body) if instanced else None
-            if normals:
-                found.append(_piece(body, part, places))
-            else:
-                found.append(Piece(body.name, part.vertices, part.triangles, None, places, body.index))
-        return found
+        return [
+            Piece(
+                body.name,
+                partial(shared_blocks, part, normals) if normals or part.own else partial(_listed, part),
+                part.facets_about,
+                self._places(body) if instanced else None,
+                body.index,
+            )
+            for body, part in zip(window.bodies, mesh.bodies, strict=True)
+        ]
 
     def _places(self, body: Body) -> Places:
         return Places(self.window.lattice, self.window.shifts[body.arrays[0]])
@@ -147,16 +144,37 @@ def one_cell(window: Window) -> Window:
     )
 
 
-def _piece(body: Body, part: BodyMesh, places: Places | None) -> Piece:
-    from clacad.mesh import corner_normals
-
-    corners, normals = (np.concatenate(list(blocks)) for blocks in (part.rows(), corner_normals(part)))
-    return replace(weld(body, corners, normals), places=places)
+def _listed(part: BodyMesh) -> Iterator[Block]:
+    """The vertices of a mesh as it numbers them."""
+    yield Block(part.vertices, None, part.triangles)
 
 
-def weld(body: Body, corners: Floats, normals: Floats) -> Piece:
-    """Weld facets (n, 3, 3) whose corners and normals agree bit by bit into a piece."""
-    both = np.concatenate([corners + 0.0, normals + 0.0], axis=2).reshape(-1, 6)
-    first, inverse = same_rows(both.view(np.uint64))
-    shared = both[first]
-    return Piece(body.name, shared[:, :3], inverse.reshape(-1, 3), shared[:, 3:], None, body.index)
+def weld(body: Body, corners: Floats, normals: Floats | None = None) -> Piece:
+    """Weld facets (n, 3, 3) whose corners, and normals if given, agree bit by bit into a piece."""
+    both = (corners if normals is None else np.concatenate([corners, normals], axis=2)) + 0.0
+    both = both.reshape(-1, both.shape[2])
+    first, number = same_rows(both.view(np.uint64))
+    smooth = None if normals is None else both[first, 3:]
+    return Piece.of(body.name, both[first, :3], number.reshape(-1, 3), smooth, index=body.index)
+
+
+def shared_blocks(mesh: BodyMesh, shaded: bool) -> Iterator[Block]:
+    """The triangles of a body with shared vertices, numbered in the order they come; `shaded`: with normals.
+
+    A vertex is shared by cells of rows next to each other, or with the land and the wall around all cells:
+    only the vertices of the last rows are kept, and those of the land.
+    """
+    from clacad.formats.mesh.measure import Welder
+    from clacad.mesh.tessellation import plain_normals, shaded_portions
+
+    ring = [mesh.plain.corners, *([plain_normals(mesh)] if shaded else [])]
+    weld, begun = Welder(np.concatenate(ring, axis=2).reshape(-1, 3 * len(ring))), 0
+    for row, corners, normals in shaded_portions(mesh, shaded):
+        if row > begun + 1:
+            weld.begin()
+        begun = row if row > begun + 1 or row < begun else begun
+        both = corners if normals is None else np.concatenate([corners, normals], axis=2)
+        both = both.reshape(-1, both.shape[2])
+        number, first = weld.numbers(both)
+        new = both[first] + 0.0
+        yield Block(new[:, :3], new[:, 3:] if shaded else None, number.reshape(-1, 3))

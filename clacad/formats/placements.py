@@ -8,10 +8,10 @@ is written out only where each of its cells is needed.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,8 +40,6 @@ class Placements:
     Number k of them is `inner[k % n]`, then `outer[k // n]`. Placements without this order are all outer
     ones.
 
-    Parameters
-    ----------
     outer : (m, 3, 4)
     inner : (n, 3, 4)
     """
@@ -63,13 +61,7 @@ class Placements:
         return len(self.inner) > 1 and len(self.outer) > 1 and self.unturned
 
     def at(self, numbers: Ints) -> Floats:
-        """Selected placements, (k, 3, 4).
-
-        Raises
-        ------
-        UnreadableFile
-            More than `MOST` of them.
-        """
+        """Selected placements, (k, 3, 4). Raises UnreadableFile: More than `MOST` of them."""
         if self.inner is ALONE:
             return self.outer[numbers]
         _few(len(numbers))
@@ -82,13 +74,7 @@ class Placements:
         return self.outer[row] if self.inner is ALONE else product(self.outer[row], self.inner[column])
 
     def all(self) -> Floats:
-        """All placements, (m n, 3, 4).
-
-        Raises
-        ------
-        UnreadableFile
-            More than `MOST` of them.
-        """
+        """All placements, (m n, 3, 4). Raises UnreadableFile: More than `MOST` of them."""
         if self.inner is ALONE:
             return self.outer
         _few(len(self))
@@ -97,10 +83,7 @@ class Placements:
     def within(self, own: Floats) -> Placements:
         """Placements of an object whose placements in this part are `own` (e, 3, 4).
 
-        Raises
-        ------
-        UnreadableFile
-            More than `MOST` must be written out.
+        Raises UnreadableFile: More than `MOST` must be written out.
         """
         if len(self) == 1:
             return Placements(product(self.outer, own))
@@ -143,13 +126,8 @@ def fill(lattice: Lattice, first: Ints, steps: Ints) -> bool:
     """Whether rows of cells fill a lattice, each cell once; also False where an outline cuts it or rows run
     up and down.
 
-    Parameters
-    ----------
-    lattice : Lattice
-    first : (m, 2)
-        A cell of each row.
-    steps : (n, 2)
-        Steps from that cell to the cells of the row.
+    first : (m, 2). A cell of each row.
+    steps : (n, 2). Steps from that cell to the cells of the row.
     """
     if lattice.outline is not None or (len(steps), len(first)) != lattice.count or steps[:, 1].any():
         return False
@@ -213,22 +191,11 @@ def composed(
 ) -> dict[Node, Placements]:
     """Placements of every node of an assembly in the frame of its roots.
 
-    Parameters
-    ----------
-    held : mapping
-        Content of a node: (child, its placements (e, 3, 4) in the node's frame).
-    nodes : iterable
-        All nodes; those that no node contains are roots and have no placement.
-
-    Returns
-    -------
-    dict of Placements
-        One placement for each occurrence of the node in the whole.
-
-    Raises
-    ------
-    UnreadableFile
-        A part contains itself, or occurs more than `MOST` times without the order of cells in rows.
+    held : Content of a node: (child, its placements (e, 3, 4) in the node's frame).
+    nodes : All nodes; those that no node contains are roots and have no placement.
+    Returns: One placement for each occurrence of the node in the whole.
+    Raises UnreadableFile: A part contains itself, or occurs more than `MOST` times without the order of cells
+        in rows.
     """
     everyone = list(dict.fromkeys(nodes))
     waiting = Counter(child for node in everyone for child, _ in held.get(node, ()))
@@ -249,13 +216,7 @@ def composed(
 
 
 def joined(several: Sequence[Placements]) -> Placements:
-    """Placements one after another.
-
-    Raises
-    ------
-    UnreadableFile
-        More than `MOST` must be written out.
-    """
+    """Placements one after another. Raises UnreadableFile: More than `MOST` must be written out."""
     if len(several) == 1:
         return several[0]
     _few(sum(len(one) for one in several))
@@ -271,63 +232,85 @@ FLAT_LIMIT = 50_000
 """Positions up to which components of 3MF are written in one level, which every tested reader understands."""
 
 
-@dataclass(frozen=True, eq=False)
-class Piece:
-    """A closed mesh and its positions.
+class Block(NamedTuple):
+    """Some triangles of a piece, with the vertices that they are the first to use.
 
-    Parameters
-    ----------
-    name : str
-        Body it belongs to.
     vertices : (v, 3) array, design units
         About the piece's own origin (the centre of its cell, z of the sheet).
-    triangles : (t, 3) int array
-    normals : (v, 3) array or None
-        Exact unit normals at the vertices, for formats that keep them.
-    places : Places or None
-        None: the piece occurs once, at its coordinates.
-    index : float
-        Refractive index, for formats that draw glass.
+    normals : (v, 3) array or None. Exact unit normals at the vertices, for formats that keep them.
+    triangles : (t, 3) int array. Numbers among the vertices of this block and of those before.
+    """
+
+    vertices: Floats
+    normals: Floats | None
+    triangles: Ints
+
+    def sound(self, name: str, scale: float, centre: Floats | None = None) -> tuple[Floats, Floats]:
+        """Positions (v, 3), scaled, about `centre` (design units) if given, and normals: finite, without −0.
+
+        Raises FileDisagrees: There are no normals, or a number is not finite; `name` is that of the piece.
+        """
+        if self.normals is None:
+            raise FileDisagrees(f"{name}: this format needs vertex normals")
+        position = (self.vertices if centre is None else self.vertices + centre) * scale + 0.0
+        normal = self.normals + 0.0
+        if not (np.isfinite(position).all() and np.isfinite(normal).all()):
+            raise FileDisagrees(f"{name}: a vertex or normal is not a finite number")
+        return position, normal
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A closed mesh and its positions, made block by block.
+
+    name : Body it belongs to.
+    blocks : Makes the triangles, in order, on each call.
+    facets : Number of triangles, about.
+    places : None: the piece occurs once, at its coordinates.
+    index : Refractive index, for formats that draw glass.
     """
 
     name: str
-    vertices: Floats
-    triangles: Ints
-    normals: Floats | None = None
+    blocks: Callable[[], Iterator[Block]]
+    facets: int
     places: Places | None = None
     index: float = 1.5
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        vertices: Floats,
+        triangles: Ints,
+        normals: Floats | None = None,
+        places: Places | None = None,
+        index: float = 1.5,
+    ) -> Piece:
+        """Piece of vertices (v, 3), triangles (t, 3) and normals (v, 3); see `Block`."""
+        block = Block(vertices, normals, triangles)
+        return cls(name, lambda: iter([block]), len(triangles), places, index)
 
     @property
     def count(self) -> int:
         """Number of instances of the piece."""
         return 1 if self.places is None else self.places.count
 
-    def sound(self, scale: float, centre: Floats | None = None) -> tuple[Floats, Floats]:
-        """Positions (v, 3), scaled, about `centre` (design units) if given, and normals: finite, without −0.
-
-        Raises
-        ------
-        FileDisagrees
-            There are no normals, or a number is not finite.
-        """
-        if self.normals is None:
-            raise FileDisagrees(f"{self.name}: this format needs vertex normals")
-        position = (self.vertices if centre is None else self.vertices + centre) * scale + 0.0
-        normal = self.normals + 0.0
-        if not (np.isfinite(position).all() and np.isfinite(normal).all()):
-            raise FileDisagrees(f"{self.name}: a vertex or normal is not a finite number")
-        return position, normal
+    @cached_property
+    def whole(self) -> Block:
+        """All of it as one block."""
+        blocks = list(self.blocks())
+        if len(blocks) == 1:
+            return blocks[0]
+        vertices, normals, triangles = zip(*blocks, strict=True)
+        smooth = None if normals[0] is None else np.concatenate(normals)
+        return Block(np.concatenate(vertices), smooth, np.concatenate(triangles))
 
 
 @dataclass(frozen=True, eq=False)
 class Places:
     """Positions of the cells of an array, row by row.
 
-    Parameters
-    ----------
-    lattice : Lattice
-    shift : (x, y), lengths
-        Displacement of the array against the lattice.
+    shift : (x, y), lengths. Displacement of the array against the lattice.
     """
 
     lattice: Lattice

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from clacad.base.text import printable
-from clacad.base.untrusted_files import require_regular
+from clacad.base.untrusted_files import array_head, require_regular
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,16 +32,8 @@ class BadRays(ValueError):
 class RayFile:
     """Rays in an .npz archive, read in chunks whether or not the archive is compressed.
 
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    BadRays
-        It is no such archive, an array is missing or has the wrong shape or type.
-    OverBudget
-        More bytes or rays than are read.
+    Raises BadRays: It is no such archive, an array is missing or has the wrong shape or type.
+    Raises OverBudget: More bytes or rays than are read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -77,8 +69,6 @@ class RayFile:
 
     def _opened(self, key: str) -> tuple[IO[bytes], np.dtype[Any], int]:
         """Stream at the first row, type, number of rows."""
-        from clacad.base.npy_header import array_head
-
         try:
             stream = self._archive.open(self._members[key])
             shape, fortran, kind = array_head(stream)

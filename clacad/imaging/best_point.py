@@ -18,13 +18,8 @@ PARALLEL = 1e-24
 class BestPoint:
     """Point at which rays are closest to one another.
 
-    Parameters
-    ----------
-    point : (3,) lengths
-        X* = argmin Σ |(1 − d dᵀ)(X − P)|²; NaN where the rays are parallel.
-    spot : (2,) lengths
-        Rms distance of the rays from it along x and y, in its plane.
-    rays : int
+    point : (3,) lengths. X* = argmin Σ |(1 − d dᵀ)(X − P)|²; NaN where the rays are parallel.
+    spot : (2,) lengths. Rms distance of the rays from it along x and y, in its plane.
     """
 
     point: Floats

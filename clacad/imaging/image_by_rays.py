@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.drawn_figure import drawn, no_formula
+from clacad.base.drawn_figure import drawn, inline_svg, no_formula
+from clacad.base.interactive import Tabular, by_axis, columns_of
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2, Rung
 from clacad.imaging.best_point import BestPoint, best_point, spot_at
@@ -42,19 +43,12 @@ TRIED = 4096
 class RungImage:
     """Image of a point on one rung.
 
-    Parameters
-    ----------
     rung : "law", "thin" or "surfaces"
-    predicted : BestPoint
-        Of the chief rays, by the law alone; for rung "law" through a sheet of zero thickness.
-    found : BestPoint
-        Of the rays that obey the law. Lengths, sheet frame.
-    share : float
-        Part of the light on the sheet that goes through lenses of one telescopelet.
-    position, direction : (n, 3) lengths, unit
-        Of this light, behind the sheet.
-    fates : mapping
-        Shares of all launched light by name of fate; fates that do not occur are absent.
+    predicted : Of the chief rays, by the law alone; for rung "law" through a sheet of zero thickness.
+    found : Of the rays that obey the law. Lengths, sheet frame.
+    share : Part of the light on the sheet that goes through lenses of one telescopelet.
+    position, direction : (n, 3) lengths, unit. Of this light, behind the sheet.
+    fates : Shares of all launched light by name of fate; fates that do not occur are absent.
     astray : (i, j) or None
         The commonest distance, in cells, from its partner of light through lenses of two telescopelets.
     """
@@ -78,13 +72,10 @@ class RungImage:
 class Middle:
     """Light that gets through, for a source whose requested light is almost all lost.
 
-    Parameters
-    ----------
     source : (3,) lengths
         Position, given as `Image.source`: along the middle of the field, from lens 1's middle to lens 2's.
     rung : "law", "thin" or "surfaces"
-    share : float
-        Part of that light that goes through lenses of one telescopelet on that rung.
+    share : Part of that light that goes through lenses of one telescopelet on that rung.
     """
 
     source: Floats
@@ -96,12 +87,8 @@ class Middle:
 class Sampling:
     """Comparison of the law of the cell hit, which is built, with the smooth law that it samples.
 
-    Parameters
-    ----------
-    slope : float, radians
-        Rms angle between the directions of the two laws, for the launched light.
-    smooth : BestPoint
-        Of this light by the smooth law: the limit of infinitely many cells.
+    slope : radians. Rms angle between the directions of the two laws, for the launched light.
+    smooth : Of this light by the smooth law: the limit of infinitely many cells.
     """
 
     slope: float
@@ -109,7 +96,7 @@ class Sampling:
 
 
 @dataclass(frozen=True, eq=False)
-class Image:
+class Image(Tabular):
     """Image of a point formed by a sheet, rung by rung.
 
     Parameters
@@ -135,6 +122,29 @@ class Image:
     sampling: Sampling | None = None
     zone: Zone | None = None
     instead: Middle | None = None
+
+    def __repr__(self) -> str:
+        x, y, z = self.source.tolist()
+        return f"Image(of ({x:g}, {y:g}, {z:g}), {', '.join(one.rung for one in self.rungs)})"
+
+    def to_columns(self) -> dict[str, Any]:
+        """One row for each rung: predicted point, point found, distance between them, spot, share."""
+        rows = [
+            {
+                "rung": one.rung,
+                **by_axis("predicted", one.predicted.point.tolist()),
+                **by_axis("found", one.found.point.tolist()),
+                "off": one.off,
+                **by_axis("spot", one.found.spot),
+                "share": one.share,
+                "rays": one.found.rays,
+            }
+            for one in self.rungs
+        ]
+        return columns_of(rows)
+
+    def _picture(self) -> str:
+        return inline_svg(plot_svg(self, "", "design unit"))
 
     def to_dict(self) -> dict[str, Any]:
         """All numbers, for JSON."""
@@ -170,7 +180,8 @@ class Image:
 
 
 def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS, rays: int = RAYS) -> Image:
-    """Find the point at which light of a point meets behind a sheet.
+    """Find where a sheet images a point: the place at which rays of that point meet behind the sheet, on
+    each rung.
 
     Parameters
     ----------
@@ -191,6 +202,16 @@ def image(window: Window, source: Sequence[float], rungs: Sequence[Rung] = RUNGS
         No window.
     ValueError
         A source that is not before the sheet, an unknown rung, or fewer than 64 rays.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> window = clacad.prescribe(design)
+    >>> found = clacad.image(window, (0.0, 0.0, -100.0), ["law", "surfaces"], rays=1024)
+    >>> columns = found.to_columns()
+    >>> [round(z) for z in columns["found_z"]], [round(share, 2) for share in columns["share"]]
+    ([100, 100], [1.0, 0.93])
     """
     need_window(window, "image", ", (0, 0, -300)")
     place = np.asarray(source, dtype=np.float64)
@@ -306,6 +327,11 @@ def _predicted(window: Window, source: Floats, cells: Ints, level: float) -> Bes
     out = window.law.refract(way) if laws is None else laws.refract(window.lattice, cells, way)
     reach = 0.0 if level == 0.0 else window.thin.separation
     at = np.column_stack([centre + reach * way[:, :2] / way[:, 2:], np.full(len(cells), level)])
+    if window.law.theta != 0.0:  # planes of the lenses lie across their axis
+        turn, lens = window.law.rotation, way @ window.law.rotation
+        along = np.full(len(cells), 0.0 if level == 0.0 else level / turn[2, 2])
+        local = np.column_stack([reach * lens[:, :2] / lens[:, 2:], along])
+        at = np.column_stack([centre, np.zeros(len(cells))]) + local @ turn.T
     good = np.isfinite(out[:, 0])
     return best_point(at[good], out[good])
 

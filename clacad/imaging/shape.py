@@ -41,8 +41,6 @@ EXACT = 512
 def assigned(cells: Floats, places: Floats) -> Ints:
     """Index of the point assigned to each cell, (n,); each point is used once.
 
-    Parameters
-    ----------
     cells, places : (n, 2) lengths
     """
     from scipy.optimize import linear_sum_assignment
@@ -90,17 +88,10 @@ class Blur:
 class Shaped:
     """Cells and the points to which they send their light.
 
-    Parameters
-    ----------
-    cells : (n, 2) int
-        Kept cells.
-    places : (n, 2) lengths
-        On the screen.
+    cells : (n, 2) int. Kept cells.
+    places : (n, 2) lengths. On the screen.
     deltas : (n, 2)
-    way : float, length
-        Rms lateral distance from a cell to its point.
-    blur : Blur
-    target : Target
+    way : length. Rms lateral distance from a cell to its point.
     """
 
     cells: Any
@@ -115,21 +106,15 @@ class Shaped:
 class Rendered:
     """Light of rays through the built sheet on the screen.
 
-    Parameters
-    ----------
     seen, target, spots : (h, w) arrays
         Light in each square of the screen, over all the light on the sheet: by rays; as requested, spread by
         the width of a cell; and as one spot per cell of ideal lenses. Row 0 is the top.
     corners : (x_min, x_max, y_min, y_max), lengths
-    through : float
-        Share of the light that goes through lenses of one telescopelet.
-    within : float
-        Share of all the light that arrives within one blur of its cell's point.
-    difference : float
-        Half the sum of |seen − target|, each scaled to 1: the part of the light that is misplaced.
-    by_lenses : float
-        The difference from `spots` instead: the part caused by the lenses. The remainder of `difference` is
-        caused by light coming in spots.
+    through : Share of the light that goes through lenses of one telescopelet.
+    within : Share of all the light that arrives within one blur of its cell's point.
+    difference : Half the sum of |seen − target|, each scaled to 1: the part of the light that is misplaced.
+    by_lenses : The difference from `spots` instead: the part caused by the lenses. The remainder of
+        `difference` is caused by light coming in spots.
     """
 
     seen: Floats
@@ -145,22 +130,11 @@ class Rendered:
 def shaped(design: Design, lattice: Lattice, target: Target, distance: float, source: float = 0.0) -> Shaped:
     """Find the δ of each cell.
 
-    Parameters
-    ----------
-    design : Design
-        Gives η, s, the pitch and the wavelength; its own δ is not used.
-    lattice : Lattice
-        Of its cells.
-    target : Target
-    distance : float, length
-        From array 2 to the screen.
-    source : float, radians
-        Half angle of the source.
-
-    Raises
-    ------
-    NoTarget
-        More points than cells.
+    design : Gives η, s, the pitch and the wavelength; its own δ is not used.
+    lattice : Of its cells.
+    distance : length. From array 2 to the screen.
+    source : radians. Half angle of the source.
+    Raises NoTarget: More points than cells.
     """
     cells = lattice.cells()
     centres = lattice.centres(cells)
@@ -192,13 +166,8 @@ def table_text(found: Shaped) -> str:
 def rendered(window: Window, found: Shaped, distance: float, rays: int) -> Rendered:
     """Trace parallel light through the built sheet to the screen.
 
-    Parameters
-    ----------
-    window : Window
-        Built with the table.
-    found : Shaped
-    distance : float, length
-    rays : int
+    window : Built with the table.
+    distance : length
     """
     sent, which = sent_to(window, np.array([0.0, 0.0, -np.inf]), rays)
     seen = SheetTracer(window, "surfaces", path="size")(sent)

@@ -33,16 +33,10 @@ class NoTarget(ValueError):
 class Target:
     """Target of light on the screen.
 
-    Parameters
-    ----------
-    points : (m, 2) lengths
-        Screen x and y, in the order in which they are assigned to cells.
-    weights : (m,)
-        Part of the light for each, sum 1.
-    grain : (2,) lengths
-        Size of a pixel, over which the points of its cells are spread; 0 for points.
-    pixels : (h, w) or None
-        Of a picture.
+    points : (m, 2) lengths. Screen x and y, in the order in which they are assigned to cells.
+    weights : (m,). Part of the light for each, sum 1.
+    grain : (2,) lengths. Size of a pixel, over which the points of its cells are spread; 0 for points.
+    pixels : (h, w) or None. Of a picture.
     """
 
     points: Floats
@@ -74,10 +68,7 @@ class Target:
         """Points (count, 2), lengths; each target point gets a number proportional to its weight, within one.
         Systematic sampling along the order of the points; within a pixel the samples are spread evenly.
 
-        Raises
-        ------
-        NoTarget
-            `count` is below the number of points of a pattern.
+        Raises NoTarget: `count` is below the number of points of a pattern.
         """
         if self.pixels is None and count < len(self.points):
             raise NoTarget(f"{len(self.points)} points need as many cells, and the sheet has {count}")
@@ -105,18 +96,10 @@ def _box_over_box(x: Floats, first: float, second: float) -> Floats:
 def of_picture(light: Floats, width: float) -> Target:
     """Target of a picture.
 
-    Parameters
-    ----------
-    light : (h, w, 3) or (h, w) array
-        Linear light; row 0 is the top, +y, and column 0 the left, −x: as seen from behind the screen,
-        towards the sheet.
-    width : float, length
-        Of the picture on the screen, centred on the sheet's axis.
-
-    Raises
-    ------
-    NoTarget
-        It is black.
+    light : (h, w, 3) or (h, w) array. Linear light; row 0 is the top, +y, and column 0 the left, −x: as seen
+        from behind the screen, towards the sheet.
+    width : length. Of the picture on the screen, centred on the sheet's axis.
+    Raises NoTarget: It is black.
     """
     grey = light @ np.array(LUMINANCE) if light.ndim == 3 else light
     grey = _reduced(np.asarray(grey, dtype=np.float64))
@@ -136,12 +119,8 @@ def of_picture(light: Floats, width: float) -> Target:
 def of_points(path: Path) -> Target:
     """Target of a CSV file with the header x,y or x,y,weight; lengths in the design's unit.
 
-    Raises
-    ------
-    DesignError
-        With row and column: another header, or a value that is no number.
-    NoTarget
-        No point, or no weight above 0.
+    Raises DesignError: With row and column: another header, or a value that is no number.
+    Raises NoTarget: No point, or no weight above 0.
     """
     with path.open("rb") as stream:
         weighted = b"weight" in stream.readline(1000)

@@ -14,6 +14,7 @@ from clacad.base.vectors import doubled_normals, lengths, middles
 from clacad.formats.mesh.compare_instances import body_facing as body_facing
 from clacad.formats.mesh.compare_instances import levels as levels
 from clacad.formats.mesh.compare_instances import owner as owner
+from clacad.judging.plate_holes import holes_of, wall_areas
 from clacad.mesh.border_samples import in_corners
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.volume_and_extent import distance_in_cell
@@ -42,32 +43,23 @@ Key = tuple[int, int, int]
 class CellFacets:
     """Facets of the chosen cells, by body, side and cell, with counts over the whole file.
 
-    Attributes
-    ----------
     cells : tuple of (i, j)
-    facets : mapping
-        Key → list of (k, 3, 3) arrays, sheet frame, design units.
-    optical, walls, degenerate : int
-        Facets of each kind in the whole file; degenerate ones have no area.
+    facets : Key → list of (k, 3, 3) arrays, sheet frame, design units.
+    optical, walls, degenerate : Facets of each kind in the whole file; degenerate ones have no area.
     farthest : float
         Largest distance of a facet's middle from the exact face under it, over the whole file, design units.
-    farthest_cell : (i, j) or None
-        Cell of that facet.
-    engraved : float
-        Volume of engraved letters where the design has room for them (length³): area of their floors times
-        depth.
-    normals : mapping
-        Key → list of (k, 3, 3) arrays: normals stored for the corners of `facets`; no key where the file has
-        none.
-    stored, odd, inward : int
-        Facets with stored normals; those with a normal that is no unit vector; those with one that points
-        inward.
-    repeats : mapping
-        Key → list of (number of a chosen cell, (3,) shift). The facets of this cell are its own and those of
-        the other cell, shifted; so an instanced file needs the facets of one cell.
-    chord : float
-        Volume (length³) that all facets of the file add to the exact body of a non-uniform sheet; see
+    farthest_cell : (i, j) or None. Cell of that facet.
+    engraved : Volume of engraved letters where the design has room for them (length³): area of their floors
+        times depth.
+    normals : Key → list of (k, 3, 3) arrays: normals stored for the corners of `facets`; no key where the
+        file has none.
+    stored, odd, inward : Facets with stored normals; those with a normal that is no unit vector; those with
+        one that points inward.
+    repeats : Key → list of (number of a chosen cell, (3,) shift). The facets of this cell are its own and
+        those of the other cell, shifted; so an instanced file needs the facets of one cell.
+    chord : Volume (length³) that all facets of the file add to the exact body of a non-uniform sheet; see
         `chord_volume`.
+    bored : (bodies, holes) or None. Area (length²) of the walls of a plate's holes; None without holes.
     """
 
     cells: tuple[Cell, ...]
@@ -84,6 +76,7 @@ class CellFacets:
     inward: int = 0
     repeats: dict[Key, list[tuple[int, Floats]]] = field(default_factory=dict)
     chord: float = 0.0
+    bored: Floats | None = None
     binned: dict[tuple[Key, bool], FacetFace] = field(default_factory=dict, repr=False)
 
     def corners(self, body: int, side: int, cell: int) -> Floats:
@@ -111,12 +104,9 @@ class CellFacets:
 class SideFacets:
     """Facets of one side of a body in a chunk of a file.
 
-    corners : (k, 3, 3), normals : (k, 3, 3) or None
-        Of the whole chunk.
-    rows : (n,)
-        Rows of the chunk that belong to this side.
-    cells : (n, 2)
-        Cells they lie over, in the grid of the side's array.
+    corners : (k, 3, 3), normals : (k, 3, 3) or None. Of the whole chunk.
+    rows : (n,). Rows of the chunk that belong to this side.
+    cells : (n, 2). Cells they lie over, in the grid of the side's array.
     """
 
     corners: Floats
@@ -158,6 +148,9 @@ class Gatherer:
         self.result.degenerate += times * int((length == 0.0).sum())
         self.result.optical += times * int(optical.sum())
         self.result.walls += times * int((~optical).sum())
+        if holes_of(self.window):
+            bored = times * wall_areas(self.window, corners[~optical])
+            self.result.bored = bored if self.result.bored is None else self.result.bored + bored
         if normals is not None:
             self._weigh(corners, normal, normals, times)
         upright = np.abs(normal[:, 2]) / np.where(length > 0.0, length, 1.0)
@@ -243,10 +236,7 @@ def telescopelet(
 ) -> tuple[FacetBody, ...]:
     """Facets over one chosen telescopelet: cell i, j of each array, ready to be traced.
 
-    Parameters
-    ----------
-    present : names of the bodies the file holds, or None for all
-        Missing bodies are taken from the design.
+    present : names of the bodies the file holds, or None for all. Missing bodies are taken from the design.
     onto_design : bool
         Move every corner along z onto the design's own face; the result is the design with the file's facets.
     """
@@ -261,7 +251,7 @@ def telescopelet(
                 faces.append(_faceted(window, found, (number, side, cell), place, onto_design))
             else:
                 faces.append(ExactFace(face, np.array([*place, 0.0]), window))
-        bodies.append(FacetBody(faces[0], faces[1], body.index, body.joined))
+        bodies.append(FacetBody(faces[0], faces[1], body))
     return tuple(bodies)
 
 

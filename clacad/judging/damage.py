@@ -52,15 +52,10 @@ class DamageFeature:
 
     kind : "hole", "blind hole", "opening" or "step"
         Drilled through, drilled but not through, cut through in another shape, engraved or raised.
-    body : str
-    centre : (2,) lengths
-        Sheet frame.
-    size : (2,) lengths
-        Size of its bounding box; for a round feature the diameter twice.
-    depth : float, length
-        Depth of its walls along the sheet's normal.
-    cells : tuple of (i, j)
-        Cells that lose material, numbered as in the window.
+    centre : (2,) lengths. Sheet frame.
+    size : (2,) lengths. Size of its bounding box; for a round feature the diameter twice.
+    depth : length. Depth of its walls along the sheet's normal.
+    cells : tuple of (i, j). Cells that lose material, numbered as in the window.
     """
 
     kind: str
@@ -124,21 +119,12 @@ def find_features(
 ) -> list[DamageFeature]:
     """Find holes and steps of a part that lies in the design's frame.
 
-    Parameters
-    ----------
-    window : Window
-        Window with the cells that the part holds.
-    mesh : FileMesh
-        Mesh registered by `clacad.judging.registration.place`.
-    factor : float
-        Design units per unit of the mesh.
+    window : Window with the cells that the part holds.
+    mesh : Mesh registered by `clacad.judging.registration.place`.
+    factor : Design units per unit of the mesh.
     present : names of the bodies it holds, or None for all
-    noise : float, length
-        Scatter of the corners.
-
-    Returns
-    -------
-    list of DamageFeature, the largest first
+    noise : length. Scatter of the corners.
+    Returns list of DamageFeature, the largest first.
     """
     walls = [_made_walls(window, chunk * factor, noise) for chunk in mesh.chunks()]
     corners = np.concatenate([w for w in walls if len(w)] or [np.empty((0, 3, 3))])
@@ -321,13 +307,9 @@ def _cells_under(
 class Dent:
     """A place where a face deviates locally.
 
-    face : str
-    cell : (i, j)
-        Numbered as in the window.
-    place : (2,) lengths
-        Sheet frame.
-    depth : float, length
-        Along the face's normal; positive where material is missing.
+    cell : (i, j). Numbered as in the window.
+    place : (2,) lengths. Sheet frame.
+    depth : length. Along the face's normal; positive where material is missing.
     """
 
     face: str
@@ -366,16 +348,10 @@ def find_dents(
 ) -> list[Dent]:
     """Find the deepest point of each damaged face of a cell, in one more pass.
 
-    Parameters
-    ----------
     damaged : sequence of (number of the face in the order of the light, cell)
         From `clacad.judging.deviation_map.DeviationMap.damaged`.
-    noise : float, length
-        Scatter of single corners.
-
-    Returns
-    -------
-    list of Dent, the deepest first
+    noise : length. Scatter of single corners.
+    Returns list of Dent, the deepest first.
     """
     asked = set(damaged)
     between = levels(window)

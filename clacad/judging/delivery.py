@@ -82,17 +82,10 @@ class UnknownRole(ValueError):
 class Subject:
     """One file to judge.
 
-    path : Path
-    name : str
-    format : str
-    entry : mapping
-        Entry of the manifest; empty without one.
-    bytes : int, sha256 : str
-        As found now; "" where the file is missing.
-    role : Role
-        Purpose of the file: as declared, else as in the manifest, else a master.
-    declared : bool
-        Whether the role was declared by a person, at export or now; else it follows from the forecast.
+    entry : Entry of the manifest; empty without one.
+    bytes : int, sha256 : str. As found now; "" where the file is missing.
+    role : Purpose of the file: as declared, else as in the manifest, else a master.
+    declared : Whether the role was declared by a person, at export or now; else it follows from the forecast.
     """
 
     path: Path
@@ -115,6 +108,14 @@ class Subject:
         listed = self.entry.get("bodies")
         names = listed if isinstance(listed, list) else []
         return tuple(shown_name(name).removesuffix(".marked") for name in names)
+
+    @property
+    def cell(self) -> tuple[int, int] | None:
+        """Cell that the file describes, by its manifest entry; None for the whole sheet."""
+        told = self.entry.get("cell")
+        if not (isinstance(told, list) and len(told) == 2 and all(type(k) is int for k in told)):
+            return None
+        return told[0], told[1]
 
     @property
     def is_mesh(self) -> bool:
@@ -157,9 +158,7 @@ Roles = Mapping[str, Role]
 def declared_roles(asked: str | Mapping[str, str] | None) -> Roles:
     """Parse the roles that a person declares: one word for all files, or one per format or file name.
 
-    Raises
-    ------
-    UnknownRole
+    Raises UnknownRole.
     """
     if asked is None:
         return {}
@@ -175,20 +174,11 @@ def declared_roles(asked: str | Mapping[str, str] | None) -> Roles:
 def list_files(place: Path, roles: Roles | None = None) -> Delivery:
     """List the files to judge by name and size; no file is read, so the size of a large one is known at once.
 
-    Parameters
-    ----------
-    place : Path
-    roles : mapping or None
-        Declared by the person who verifies; see `declared_roles`.
-
-    Raises
-    ------
-    FileNotFoundError
-        Nothing exists at `place`, or a folder holds no manifest and no file of a known format.
-    BadRequest
-        The folder holds a stack of sheets, which one design does not describe.
-    UnknownRole
-        A role is declared for a file that is not among them.
+    roles : Declared by the person who verifies; see `declared_roles`.
+    Raises FileNotFoundError: Nothing exists at `place`, or a folder holds no manifest and no file of a known
+        format.
+    Raises BadRequest: The folder holds a stack of sheets, which one design does not describe.
+    Raises UnknownRole: A role is declared for a file that is not among them.
     """
     delivery = _found(place)
     if delivery.manifest is not None and "stack" in delivery.manifest:
@@ -369,18 +359,12 @@ def same_design(design: Design, manifest: Mapping[str, Any]) -> Check:
 class Inspection:
     """One file under judgement.
 
-    design : Design
-        Gives the law and the limits.
-    name : str
-        File name, the subject of the checks.
-    rays : int
-        Ray count of the main bundle through the file.
-    progress : callable
-        (stage, done 0 … 1).
-    role : Role
-        Purpose of the file.
-    stated : mapping
-        Its entry in a manifest; empty without one.
+    design : Gives the law and the limits.
+    name : File name, the subject of the checks.
+    rays : Ray count of the main bundle through the file.
+    progress : (stage, done 0 … 1).
+    role : Purpose of the file.
+    stated : Its entry in a manifest; empty without one.
     """
 
     design: Design

@@ -55,19 +55,14 @@ MOST = 2_000_000
 class FaceMap:
     """Deviations of one lens face.
 
-    name : str
-        Such as "array1 front".
+    name : Such as "array1 front".
     folded, count : (bins, bins)
         Mean deviation (length, weighted by area) over the bounding box of a cell, all cells on top of each
         other, x first, NaN in empty bins; and the effective number of equally weighted corners.
-    noise : float, length
-        Rms of single corners about their bin's mean.
-    cells : (n1, n2)
-        Rms deviation of each cell; NaN where it has no corners.
-    peaks : (n1, n2)
-        Largest absolute deviation of a single corner of each cell; NaN likewise.
-    number : int
-        Number of the face in the order of the light.
+    noise : length. Rms of single corners about their bin's mean.
+    cells : (n1, n2). Rms deviation of each cell; NaN where it has no corners.
+    peaks : (n1, n2). Largest absolute deviation of a single corner of each cell; NaN likewise.
+    number : Number of the face in the order of the light.
     """
 
     name: str
@@ -82,8 +77,7 @@ class FaceMap:
         """Cells (counted from the first) that deviate more than the others, by their rms or by a single
         corner.
 
-        limit : length
-            Allowed deviation of a sound face of this file.
+        limit : length. Allowed deviation of a sound face of this file.
         """
         with np.errstate(invalid="ignore"):
             bad = np.any([found > most for found, most in self._against(limit)] or [self.cells < 0.0], axis=0)
@@ -93,8 +87,7 @@ class FaceMap:
         """Deviation of the most conspicuous cell, and its allowed deviation (lengths); NaN where too few are
         known.
 
-        limit : length
-            As in `damaged`.
+        limit : length. As in `damaged`.
         """
         pairs = [(float(np.nanmax(found)), most) for found, most in self._against(limit)]
         return max(
@@ -133,19 +126,12 @@ class FaceMap:
 class DeviationMap:
     """Deviations of all lens faces of a part.
 
-    unit : str
-        Name of the design's unit.
-    low, high : (2,) lengths
-        Bounding box of a cell.
-    faces : tuple of FaceMap
-    first : (2,) ints
-        First cell of the maps of cells.
-    unit_m : float
-        One design unit in metres.
-    dents : tuple of Dent
-        Dents in damaged cells, the deepest first.
-    steps : (2,) lengths
-        Distance from cell to cell across, and from row to row.
+    unit : Name of the design's unit.
+    low, high : (2,) lengths. Bounding box of a cell.
+    first : (2,) ints. First cell of the maps of cells.
+    unit_m : One design unit in metres.
+    dents : Dents in damaged cells, the deepest first.
+    steps : (2,) lengths. Distance from cell to cell across, and from row to row.
     """
 
     unit: str
@@ -374,12 +360,7 @@ def _draw_sheet(figure: Figure, axes: Axes, found: DeviationMap, face: FaceMap) 
 def write_deviation(
     found: DeviationMap, name: str, folder: str | os.PathLike[str], *, overwrite: bool = False
 ) -> list[Path]:
-    """Write deviation-NAME.json and .png of a file called `name`.
-
-    Raises
-    ------
-    CannotWrite, ExportRefused
-    """
+    """Write deviation-NAME.json and .png of a file called `name`. Raises CannotWrite, ExportRefused."""
     stem = f"deviation-{safe_name(Path(name).stem)}"
     contents = {
         f"{stem}.json": (

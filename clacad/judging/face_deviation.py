@@ -38,10 +38,8 @@ has a step, the wrong cell is far off.
 def drawn_in(window: Window, inward: Floats, noise: float = 0.0) -> Floats:
     """Displacements (n, 3) that move corners safely over the cell of their own facet.
 
-    inward : (n, 3) lengths
-        From each corner to the middle of its facet.
-    noise : float, length
-        Scatter of the corners.
+    inward : (n, 3) lengths. From each corner to the middle of its facet.
+    noise : length. Scatter of the corners.
     """
     length = np.linalg.norm(inward, axis=1, keepdims=True)
     room = max(ROOM * min(window.lattice.pitch), 4.0 * noise)
@@ -67,12 +65,9 @@ class FaceDistance:
 
     distance : (n,) lengths
         Along the face's normal, positive above the face (towards +z); NaN where the point is on no face.
-    normal : (n, 3)
-        Unit normal of the face, towards +z; NaN likewise.
-    face : (n,) ints
-        Number of the face in the order of the light, −1 for no face.
-    cell : (n, 2) ints, local : (n, 2) lengths
-        Cell of the face's array and position in it.
+    normal : (n, 3). Unit normal of the face, towards +z; NaN likewise.
+    face : (n,) ints. Number of the face in the order of the light, −1 for no face.
+    cell : (n, 2) ints, local : (n, 2) lengths. Cell of the face's array and position in it.
     """
 
     distance: Floats
@@ -97,9 +92,6 @@ def distance_to_faces(
 ) -> FaceDistance:
     """Compare points (n, 3), sheet frame, with the faces that they belong to.
 
-    Parameters
-    ----------
-    window : Window
     points : (n, 3) lengths
     facing : (n, 3)
         Outward unit normals of the part at the points: they determine the side; steep ones belong to no face.
@@ -185,13 +177,10 @@ _ASIDE = np.sqrt([2.0, 3.0]) % 1.0
 class Deviation:
     """Deviation of the facets of one telescopelet from the design's faces, in the order of the light.
 
-    slope : (faces, n, 2) slopes along lens x, y
-        Facet slope minus exact slope at the same n points of the cell; NaN where a facet or a lens is
-        missing, 0 for a plane or a face that is not in the file.
-    distance : (faces,) lengths
-        Largest distance along the normal.
-    met : (faces,)
-        Share of the points with material where a facet was found.
+    slope : (faces, n, 2) slopes along lens x, y. Facet slope minus exact slope at the same n points of the
+        cell; NaN where a facet or a lens is missing, 0 for a plane or a face that is not in the file.
+    distance : (faces,) lengths. Largest distance along the normal.
+    met : (faces,). Share of the points with material where a facet was found.
     """
 
     slope: Floats

@@ -23,12 +23,13 @@ from clacad.checks.file_kinds import (
     FILE_LAW_DELTA,
     FILE_LAW_ETA,
     FILE_LAW_RMS,
+    FILE_LAW_WHITE,
     FILE_THROUGHPUT,
 )
 from clacad.exporting.roles import Role
 from clacad.judging.delivery import Inspection
-from clacad.light.compare import Comparison
-from clacad.light.measure import Light, Send, measure, rms_of
+from clacad.light.compare import Comparison, WhiteLight
+from clacad.light.measure import Light, Send, first_rays, measure, measure_each, rms_of
 from clacad.optics.law import Law, difference_of_laws
 from clacad.sheet.bundle import RequestedLaw, bundle, field_points
 from clacad.sheet.vignetting import mean_share, share, thin_cells
@@ -47,20 +48,15 @@ POINT_RAYS = 4096
 class FileLight:
     """Results of light through a file.
 
-    Attributes
-    ----------
-    compared : Comparison
-        Light of the main bundle through the file and through the exact surfaces, in the most densely lit
-        cell.
-    points : tuple of Light
-        Parallel light through the file, of nine directions of the field.
-    shift : (2,)
-        Shift of array 2 along the sheet's normal that minimizes the rms error to the law, file minus exact,
-        per lens axis, over the distance between the lenses; NaN in an axis without power.
+    compared : Light of the main bundle through the file and through the exact surfaces, in the most densely
+        lit cell.
+    points : Parallel light through the file, of nine directions of the field.
+    shift : (2,). Shift of array 2 along the sheet's normal that minimizes the rms error to the law, file
+        minus exact, per lens axis, over the distance between the lenses; NaN in an axis without power.
     middle, field : (float, float)
         ALIVE share in the middle of the field, and over the field, each as (through the file, closed form).
-    half_order : float, radians
-        Half the angle between light through lens 2 of a cell and of its neighbour.
+    half_order : radians. Half the angle between light through lens 2 of a cell and of its neighbour.
+    white : Light in the lines of white light, where they are judged.
     """
 
     compared: Comparison
@@ -69,6 +65,7 @@ class FileLight:
     middle: tuple[float, float]
     field: tuple[float, float]
     half_order: float
+    white: WhiteLight | None = None
 
     @property
     def light(self) -> Light:
@@ -100,6 +97,21 @@ class FileLight:
         return 1.0 - float(self.near[known].mean()) if known.any() else np.nan
 
 
+WHITE_RAYS = 8192
+"""Most rays of each line: the mean is within 1 % of that of more."""
+
+
+def lines_of(design: Design, window: Window) -> dict[float, float]:
+    """Lines of white light (metres → weight) that a design is measured in; empty where it has no colour."""
+    asked = design.light.spectrum is not None or design.check.law_white is not None
+    materials = [body.material for body in window.bodies]
+    lines = design.light.lines
+    if not asked and (design.light.coherent or window.wavelength is None):
+        return {}
+    known = all(one is not None and one.range_m and all(map(one.knows, lines)) for one in materials)
+    return dict(lines) if known else {}
+
+
 def measure_light(
     design: Design,
     window: Window,
@@ -111,32 +123,31 @@ def measure_light(
 ) -> FileLight:
     """Send the bundles of the checks through a file.
 
-    Parameters
-    ----------
     design, window
-    send : callable
-        Bundle → TraceResult through the file, sheet frame, window units; ALIVE where a ray crossed every body
-        of one telescopelet.
-    rays, point_rays : int
-        Of the main bundle, and of each of the nine field points.
-    cell : (i, j) or None
-        Cell that is lit; default the central one.
-    exact : callable or None
-        Bundle → TraceResult through the exact surfaces; None: through those of `window`.
+    send : Bundle → TraceResult through the file, sheet frame, window units; ALIVE where a ray crossed every
+        body of one telescopelet. Rays of one wavelength meet the indices of that wavelength.
+    rays, point_rays : Of the main bundle, and of each of the nine field points.
+    cell : (i, j) or None. Cell that is lit; default the central one.
+    exact : Bundle → TraceResult through the exact surfaces; None: through those of `window`.
     """
     spec, law, cells = design.check, RequestedLaw.of(window), thin_cells(window)
     main = bundle(window, rays, spec.field, spec.field_centre, cell=cell)
     truth = trace(window, main.rays, path="size") if exact is None else exact(main)
-    compared = Comparison(measure(send, main, law), Light(main, truth, law))
     directions = field_points(window, spec.field, spec.field_centre)
-    points = tuple(
-        measure(send, bundle(window, point_rays, 0.0, middle=direction, cell=main.cell), law)
-        for direction in directions
-    )
+    beams = [bundle(window, point_rays, 0.0, middle=direction, cell=main.cell) for direction in directions]
+    found, *points = measure_each(send, [main, *beams], law)
+    compared = Comparison(found, Light(main, truth, law))
     closed = mean_share(cells, main.rays.direction)
     middle = points[0].share, float(share(cells, directions[:1])[0])
     shift = compared.focus(window)
-    return FileLight(compared, points, shift, middle, (compared.light.share, closed), half_order(window))
+    lines = lines_of(design, window) if spec.law_white is not None else {}
+    white = None
+    if lines:
+        base = first_rays(found, WHITE_RAYS)
+        white = WhiteLight(base, measure(send, base.lit, law, lines), lines)
+    return FileLight(
+        compared, tuple(points), shift, middle, (compared.light.share, closed), half_order(window), white
+    )
 
 
 def half_order(window: Window) -> float:
@@ -157,22 +168,17 @@ def light_checks(
 ) -> list[Check]:
     """Judge light through a file by the limits of the design.
 
-    Parameters
-    ----------
-    `asked` : Inspection
-        A master fails beyond a limit; a preview gets a warning. A scan fails by the part of its rms that its
-        facets and their noise do not explain; for the rest it gets a warning.
-    found : FileLight
-        Of the most densely lit cell.
-    what : str
-        The geometry that light crossed: triangles, or faces.
-    rms : radians for every measured cell, the middle one first; cells : their numbers
-        The worst is judged.
-    noise : float, radians
-        For scans: direction error that the facets' own slopes, noise included, cause.
+    `asked` : A master fails beyond a limit; a preview gets a warning. A scan fails by the part of its rms
+        that its facets and their noise do not explain; for the rest it gets a warning.
+    found : Of the most densely lit cell.
+    what : The geometry that light crossed: triangles, or faces.
+    rms : radians for every measured cell, the middle one first; cells : their numbers. The worst is judged.
+        A number without rms: the only cell, where another than the middle one.
+    noise : radians. For scans: direction error that the facets' own slopes, noise included, cause.
     """
     checks = [
         _law_rms(asked, found, what, rms, cells, noise),
+        *([] if found.white is None else [white_check(asked, found.white, what)]),
         _law_bias(asked, found, what),
         *_law_fitted(asked, found, what),
         _confocality(asked, found),
@@ -207,9 +213,8 @@ def _law_rms(
     every = np.array([found.light.rms, *rms[1:]])
     worst = int(np.nanargmax(every))
     value = float(every[worst])
-    where = (
-        f"in cell {cells[worst]}, worst of {len(every)}" if len(every) > 1 and cells else "in the middle cell"
-    )
+    where = f"in cell {cells[worst]}" if cells and (len(every) > 1 or not rms) else "in the middle cell"
+    where += f", worst of {len(every)}" if cells and len(every) > 1 else ""
     sentence = f"through the file's {what} light leaves {mrad_text(value)} rms from the law ({where})"
     sentence += _other_rms(found, every)
     common: dict[str, Any] = {"bundle": str(found.light.lit), "limit_source": source, **asked.common}
@@ -244,6 +249,10 @@ def _other_rms(found: FileLight, every: Floats) -> str:
     words = ""
     if len(every) > 1 and np.isfinite(_together(every)):
         words += f"; over all {len(every)} cells {mrad_text(_together(every))}"
+        others = np.delete(every, np.nanargmax(every))
+        others = others[np.isfinite(others)]
+        if len(others):
+            words += f", the others {mrad_text(others.min(), unit='')} to {mrad_text(others.max())}"
     if found.strayed > 0.0 and found.partner == found.partner:
         words += (
             f"; {percent_text(found.strayed, 2)} of the light of the cell lit most leaves nearer to the"
@@ -251,6 +260,20 @@ def _other_rms(found: FileLight, every: Floats) -> str:
             " from the law"
         )
     return words
+
+
+def white_check(asked: Inspection, white: WhiteLight, what: str) -> Check:
+    """Law error of the lines of white light, for a design that judges it."""
+    value = white.mean(white.law_rms)
+    sentence = f"through the file's {what} white light leaves {mrad_text(value)} rms from the law"
+    return FILE_LAW_WHITE.judge(
+        value,
+        asked.design.check.law_white or np.nan,
+        f"{sentence}, mean of {len(white.lines)} lines",
+        bundle=str(white.base.lit),
+        detail={"lines": dict(zip((f"{1e9 * w:g} nm" for w in white.lines), white.law_rms, strict=True))},
+        **asked.common,
+    )
 
 
 def _law_bias(asked: Inspection, found: FileLight, what: str) -> Check:

@@ -55,11 +55,9 @@ if TYPE_CHECKING:
 class FileReport:
     """A judged file with its identity and the evidence gathered on it.
 
-    window : Window or None
-        Window with the cells of the file; None where they are the design's.
+    window : Window with the cells of the file; None where they are the design's.
     present : names of the bodies in it, or None for all
-    role : Role or None
-        Role as judged, where it differs from the declared one.
+    role : Role as judged, where it differs from the declared one.
     """
 
     subject: Subject
@@ -101,15 +99,11 @@ def judge_turned(
     """Find the pose of a STEP file without a manifest, and judge it by triangles whose corners lie on its
     faces.
 
-    Parameters
-    ----------
     `asked`, subject
     window : with the cells that the file holds according to the caller, or None
     checks, facts : from `judge_solid`; of the checks those that depend on the pose are replaced
 
-    Raises
-    ------
-    CannotRegister
+    Raises CannotRegister.
     """
     kept = [check for check in checks if check.kind in KEPT]
     whole = prescribe(asked.design) if window is None else window
@@ -197,36 +191,35 @@ def _with_holes(check: Check, placed: Placed, facts: Mapping[str, Any]) -> Check
 
 
 def judge_files(
-    design: Design, delivery: Delivery, cells: tuple[int, int] | None, rays: int, progress: Progress
+    design: Design,
+    whole: Window,
+    delivery: Delivery,
+    cells: tuple[int, int] | None,
+    rays: int,
+    progress: Progress,
 ) -> tuple[list[Check], list[FileReport]]:
     """Judge every file of a delivery, and the delivery as a whole.
 
-    Parameters
-    ----------
-    design : Design
-    delivery : Delivery
-    cells : (a, b) or None
-        Cells the files hold, where no manifest gives them.
-    rays : int
-        Ray count of the main bundle.
-    progress : callable
-        (stage, done 0 … 1).
+    whole : Of the design.
+    cells : (a, b) or None. Cells the files hold, where no manifest gives them.
+    rays : Ray count of the main bundle.
+    progress : (stage, done 0 … 1).
     """
     checks: list[Check] = []
     judged: list[FileReport] = []
     if delivery.manifest is not None:
         checks.append(same_design(design, delivery.manifest))
-    window = written_window(design, delivery.manifest, cells)
+    window = written_window(design, whole, delivery.manifest, cells)
+    whole = whole if window is None else window
     for subject in delivery.subjects:
         if subject.missing:
             checks.append(integrity(subject))
             judged.append(FileReport(subject, "missing"))
             continue
         asked = Inspection(design, subject.name, rays, progress, subject.role, subject.entry)
-        more, one = _judge_hashed(asked, subject, window)
+        more, one = _judge_hashed(asked, subject, window, whole)
         checks += [integrity(one.subject), *more]
         judged.append(one)
-    whole = prescribe(design) if window is None else window
     checks += whole_delivery(whole, [(one.subject, one.judged_as, one.present) for one in judged])
     return checks, judged
 
@@ -234,31 +227,31 @@ def judge_files(
 Judged = tuple[list[Check], FileReport]
 
 
-def _judge_hashed(asked: Inspection, subject: Subject, window: Window | None) -> Judged:
+def _judge_hashed(asked: Inspection, subject: Subject, window: Window | None, whole: Window) -> Judged:
     """Judge one file and hash it; a mesh is hashed while it is read, from the bytes that are judged."""
     if not subject.is_mesh:
-        return _judge_one(asked, subject.hashed(), window)
+        return _judge_one(asked, subject.hashed(), window, whole)
     heard = Overheard(subject.path)
-    checks, one = _judge_one(asked, subject, window, heard)
+    checks, one = _judge_one(asked, subject, window, whole, heard)
     return checks, replace(one, subject=one.subject.hashed(heard))
 
 
 def _judge_one(
-    asked: Inspection, subject: Subject, window: Window | None, heard: Overheard | None = None
+    asked: Inspection, subject: Subject, window: Window | None, whole: Window, heard: Overheard | None = None
 ) -> Judged:
     """Judge one file by its kind.
 
     window : with the cells of the file according to the caller; None where they are unknown
+    whole : the same, or that of the design where they are unknown
     heard : hash that is updated with the bytes of a mesh as they are read
     """
-    whole = prescribe(asked.design) if window is None else window
     if subject.format == CELL_TABLE:
         return [table_check(asked.design, subject)], FileReport(
             subject, "the table of cells", role=Role.OTHER
         )
     if subject.entry and (reason := no_optics(whole, subject)) is not None:
         asked.progress(f"reading {subject.name}", 0.0)
-        return judge_other(subject, reason), FileReport(subject, reason.note, role=Role.OTHER)
+        return judge_other(asked, whole, subject, reason), FileReport(subject, reason.note, role=Role.OTHER)
     if subject.is_solid:
         return _judge_solids(asked, subject, window, whole)
     if subject.is_mesh:
@@ -266,7 +259,9 @@ def _judge_one(
     kind = kind_of_map(subject)
     if kind is not None:
         asked.progress(f"reading {subject.name}", 0.0)
-        return judge_map(asked, whole, subject, kind), FileReport(subject, "judged by the numbers in it")
+        note, part = "judged by the numbers in it", subject.cell is not None and not whole.uniform
+        one = FileReport(subject, f"{note}, of one cell" if part else note, present=() if part else None)
+        return judge_map(asked, whole, subject, kind), one
     check = READABLE.not_run(
         f"{subject.path.suffix or 'this'} is no format that can be judged", subject=subject.name
     )

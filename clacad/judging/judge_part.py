@@ -158,8 +158,7 @@ def _with_failure(check: Check, mapped: DeviationMap, limit: float) -> Check:
 
     A check that fails by its own value keeps it.
 
-    limit : length
-        Allowed deviation of a sound face of the file.
+    limit : length. Allowed deviation of a sound face of the file.
     """
     lost = {tuple(cell) for feature in check.detail["features"] for cell in feature["cells"]}
     if check.state == "fail" or not (lost or check.detail["dents"]):
@@ -209,12 +208,8 @@ def _peak(mapped: DeviationMap, one: tuple[int, tuple[int, int]]) -> float:
 def judge_returned(asked: Inspection, placed: Placed) -> tuple[list[Check], MeshEvidence]:
     """Measure a registered part in one pass and judge it.
 
-    Parameters
-    ----------
-    `asked` : Inspection
-        An open surface is judged as a scan regardless of its stated role.
-    placed : Placed
-        The part, registered.
+    `asked` : An open surface is judged as a scan regardless of its stated role.
+    placed : The part, registered.
     """
     design, window = asked.design, placed.window
     present = None if len(placed.present) == len(window.bodies) else placed.present

@@ -12,7 +12,6 @@ from __future__ import annotations
 import csv
 from dataclasses import replace
 from math import inf
-from pathlib import Path
 
 import numpy as np
 
@@ -21,42 +20,40 @@ from clacad.checks.check import Check, other
 from clacad.checks.file_kinds import READABLE, SHAPE, THROUGH_FILE, unreadable
 from clacad.exporting.formats import registry
 from clacad.exporting.formats.file_kind import FaceFile, FileKind, Reading, Samples
+from clacad.exporting.limits import refuse_no_cell
 from clacad.exporting.roles import Role
 from clacad.formats.maps.sag import structured_faces
 from clacad.judging.delivery import Inspection, Subject
 from clacad.judging.file_light import light_checks, measure_light
 from clacad.judging.mesh_light import lit_cells, seen_cell
+from clacad.sheet.like_cell import named_cell
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.window import Face, Window
-from clacad.storage.errors import ExportError, UnreadableFile
+from clacad.storage.errors import BadRequest, ExportError, UnreadableFile
 from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, FacetBody, sampled_face, trace_facets
 
 RAYS, POINT_RAYS = 8192, 1024
 """Most rays of the main bundle, and of each field point."""
 
 
-def map_light(asked: Inspection, window: Window, path: Path, kind: FileKind, label: str) -> list[Check]:
+def map_light(asked: Inspection, window: Window, subject: Subject, kind: FileKind, label: str) -> list[Check]:
     """Trace the rays of the checks through the heights of a map, grid or point file.
 
-    Parameters
-    ----------
-    `asked` : Inspection
-    window : Window
-    path : Path
-    kind : FileKind
-        From `clacad.judging.map_file.kind_of_map`; one without heights gives no check.
-    label : str
-        Name of the face.
+    kind : From `clacad.judging.map_file.kind_of_map`; one without heights gives no check.
+    label : Name of the face.
     """
     samples = kind.reading.samples
     if samples is None:
         return []
-    body, face = next((b, f) for b, f, name in structured_faces(window) if name == label)
-    cell = central_cell(window) if window.uniform else lit_cells(window, asked.design.check.field)[0]
+    cell = subject.cell
+    described = window if cell is None else named_cell(window, cell)
+    body, face = next((b, f) for b, f, name in structured_faces(described) if name == label)
+    if cell is None or window.uniform:
+        cell = central_cell(window) if window.uniform else lit_cells(window, asked.design.check.field)[0]
     one = seen_cell(window, cell)
     like = next(f for _, f, name in structured_faces(one.like) if name == label)
     try:
-        held = samples(FaceFile(window, body, face, label, path), cell)
+        held = samples(FaceFile(described, body, face, label, subject.path), cell)
         through = _bodies(one.like, like, cell, held)
     except (ExportError, OSError, ValueError) as error:
         why = f"no light can be sent through it: {error}"
@@ -71,7 +68,7 @@ def map_light(asked: Inspection, window: Window, path: Path, kind: FileKind, lab
         one.send,
     )
     what = f"bicubic surface ({kind.word}, {label}; the other faces as designed)"
-    return light_checks(asked, seen, what)
+    return light_checks(asked, seen, what, cells=() if window.uniform else (cell,))
 
 
 def _bodies(window: Window, sampled: Face, cell: tuple[int, int], held: Samples) -> tuple[FacetBody, ...]:
@@ -85,7 +82,7 @@ def _bodies(window: Window, sampled: Face, cell: tuple[int, int], held: Samples)
                 faces.append(sampled_face(window, face, place, held.points, held.step))
             else:
                 faces.append(ExactFace(face, place, window))
-        bodies.append(FacetBody(faces[0], faces[1], body.index, body.joined))
+        bodies.append(FacetBody(faces[0], faces[1], body))
     return tuple(bodies)
 
 
@@ -117,24 +114,15 @@ def kind_of_map(subject: Subject) -> FileKind | None:
 def judge_map(asked: Inspection, window: Window, subject: Subject, kind: FileKind) -> list[Check]:
     """Compare a file with the design's faces, number by number, and trace light through its heights.
 
-    Parameters
-    ----------
-    `asked` : Inspection
-    window : Window
-        With the cells that were written.
-    subject : Subject
-    kind : FileKind
-        From `kind_of_map`.
+    window : With the cells that were written.
+    kind : From `kind_of_map`.
 
-    Returns
-    -------
-    list of Check
-        readable, shape, and those of light where the file holds heights.
+    Returns: readable, shape, and those of light where the file holds heights.
     """
     common = asked.common
     reading = kind.reading
     try:
-        worst, room, what, label = _compared(window, subject, reading)
+        worst, room, what, label = _compared(described(window, subject), subject, reading)
     except DAMAGED as error:
         return [unreadable(error, **common), SHAPE.not_run("the file cannot be read", **common)]
     sentence = (
@@ -143,11 +131,25 @@ def judge_map(asked: Inspection, window: Window, subject: Subject, kind: FileKin
     found = READABLE.check("pass", f"{kind.word}, {what}", **common)
     source = other("rounding of the format")
     shape = SHAPE.judge(worst, room, sentence, unit=reading.unit, limit_source=source, **common)
-    light = map_light(asked, window, subject.path, kind, label) if label else ()
+    light = map_light(asked, window, subject, kind, label) if label else ()
     obeys = bool(light) and all(check.state == "pass" for check in light)
     if subject.role is Role.SCAN and shape.state == "fail" and obeys:  # a measured surface is never exact
         shape = replace(shape, state="warn")
     return [found, shape, *light]
+
+
+def described(window: Window, subject: Subject) -> Window:
+    """Sheet that a file describes: the uniform equivalent of the one cell that its manifest entry names.
+
+    Raises UnreadableFile: The sheet has no such cell.
+    """
+    if subject.cell is None:
+        return window
+    try:
+        refuse_no_cell(window, subject.cell)
+    except BadRequest as error:
+        raise UnreadableFile(f"{subject.name}: {error}") from error
+    return named_cell(window, subject.cell)
 
 
 def _compared(window: Window, subject: Subject, reading: Reading) -> tuple[float, float, str, str]:

@@ -22,21 +22,13 @@ from clacad.checks.file_kinds import FILE_NORMALS, PLACEMENT
 from clacad.formats.mesh.compare_instances import PartPlaces, RowPlaces, Standing, owner, standing
 from clacad.formats.mesh.file_mesh import FileMesh, Part, kinds
 from clacad.formats.mesh.measure import MOST_KINDS, Measure, joined, measure, measure_repeated
+from clacad.judging import mesh_wholeness
 from clacad.judging.cell_triangles import CellFacets, Gatherer
 from clacad.judging.delivery import Inspection
 from clacad.judging.face_deviation import Deviation, deviations
 from clacad.judging.mesh_light import MeshEvidence, checks_of_light, lit_cells
 from clacad.judging.mesh_shape import chord_volume, shape_check, volume_check
-from clacad.judging.mesh_wholeness import (
-    COUNTED_FACETS,
-    PieceCount,
-    closed_check,
-    counted_on_the_way,
-    holding,
-    part_counts,
-    pieces_check,
-    scale_check,
-)
+from clacad.judging.plate_holes import lost_in_mesh, with_holes
 from clacad.optics.law.orientation import angle_between
 from clacad.sheet.feasibility import body_range
 from clacad.sheet.like_cell import like_cell
@@ -57,15 +49,9 @@ ROOM = 1e-6
 def normals_check(window: Window, gathered: CellFacets, off: Sequence[Deviation], name: str) -> Check | None:
     """Judge the normals stored in a file over the chosen cells; None where the file has none.
 
-    Parameters
-    ----------
-    window : Window
-    gathered : CellFacets
-        With the facets' stored normals.
-    off : sequence of Deviation
-        Of these cells.
-    name : str
-        File name, the subject of the check.
+    gathered : With the facets' stored normals.
+    off : Of these cells.
+    name : File name, the subject of the check.
     """
     if not gathered.stored:
         return None
@@ -153,14 +139,8 @@ def look_at_places(gatherer: Gatherer, places: PartPlaces | RowPlaces, factor: f
     """Gather the facets of a repeated object over the chosen cells, and compare it with the design where it
     is worst.
 
-    Parameters
-    ----------
-    gatherer : Gatherer
-    places : PartPlaces or RowPlaces
-    factor : float
-        Design units per file unit.
-    limit : float, design units
-        Displacement from the lattice up to which a place is a copy of another.
+    factor : Design units per file unit.
+    limit : design units. Displacement from the lattice up to which a place is a copy of another.
     """
     if isinstance(places, RowPlaces):
         for part in places.parts:
@@ -272,14 +252,8 @@ def judge_mesh(
 ) -> tuple[list[Check], MeshEvidence]:
     """Measure a mesh file in one pass and judge it.
 
-    Parameters
-    ----------
-    `asked` : Inspection
-    window : Window
-        With the cells that were written.
-    mesh : FileMesh
-    factor : float
-        Design units per file unit.
+    window : With the cells that were written.
+    factor : Design units per file unit.
     present : names of the bodies in the file, or None for all
         Other bodies are taken from the design for the light.
     """
@@ -287,16 +261,17 @@ def judge_mesh(
     held = held_part(window, present)
     gatherer = Gatherer(window, lit_cells(window, design.check.field), _bevel(window, asked.stated))
     places = standing(mesh, window, factor)
-    counted = counted_on_the_way(mesh) if places is None else None
+    counted = mesh_wholeness.counted_on_the_way(mesh) if places is None else None
     found = _measured(mesh, factor, _Lookers(gatherer, counted), places, asked.progress)
     gathered = gatherer.result
-    counts = part_counts(mesh)
-    pieces = pieces_check(held, found, mesh, name, asked.stated, counts, counted)
+    counts = mesh_wholeness.part_counts(mesh)
+    wrong = mesh_wholeness.misnamed(held, mesh_wholeness.named_objects(held, mesh, factor), "object")
+    pieces = mesh_wholeness.pieces_check(held, found, mesh, name, asked.stated, counts, counted, wrong)
     shells = int(pieces[0].value) if found.closed and isinstance(pieces[0].value, float) else None
-    holds = holding(mesh, shells)
+    holds = mesh_wholeness.holding(mesh, shells)
     checks = [
-        closed_check(found, gathered, mesh, name, holds, counts, held),
-        scale_check(design, held, found, name),
+        mesh_wholeness.closed_check(found, gathered, mesh, name, holds, counts, held),
+        mesh_wholeness.scale_check(design, held, found, name),
         *pieces,
     ]
     if places is not None:
@@ -304,7 +279,9 @@ def judge_mesh(
     reach = max(abs(z) for z in window.z_range)
     checks.append(volume_check(asked, held, reach, chord_volume(window, gathered, 0), found, gathered))
     off = deviations(window, gathered, present)
-    checks.append(shape_check(asked, window, gathered, off, present))
+    shape = shape_check(asked, window, gathered, off, present)
+    lost = [] if gathered.bored is None else lost_in_mesh(window, gathered.bored, present)
+    checks.append(with_holes(shape, lost, design.unit))
     stored = normals_check(window, gathered, off, name)
     checks += [] if stored is None else [stored]
     light, evidence = checks_of_light(asked, window, gathered, off, found, present)
@@ -331,7 +308,7 @@ class _Lookers:
     """The consumers of a file's facets during measurement."""
 
     gatherer: Gatherer
-    counted: PieceCount | None
+    counted: mesh_wholeness.PieceCount | None
 
 
 def _measured(
@@ -340,7 +317,11 @@ def _measured(
     """Measure a file and gather its facets: parts that represent cells once, others at each place."""
     cells = set() if places is None else {id(part) for p in places.places for part in p.parts}
     repeated = measure_repeated(replace(mesh, parts=tuple(p for p in mesh.parts if id(p) in cells)), factor)
-    if places is not None and repeated.imbalance != (0, 0) and mesh.facet_count <= COUNTED_FACETS:
+    if (
+        places is not None
+        and repeated.imbalance != (0, 0)
+        and mesh.facet_count <= mesh_wholeness.COUNTED_FACETS
+    ):
         places, cells, repeated = (
             None,
             set(),

@@ -21,13 +21,14 @@ from clacad.judging.file_light import POINT_RAYS, FileLight, fit_checks, light_c
 from clacad.light.compare import Comparison, rms_between
 from clacad.light.measure import Light
 from clacad.optics.law import Law
-from clacad.optics.rays import Fate
+from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, launched
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.facets.telescopelet import FacetBody, trace_facets
+from clacad.tracing.trace import trace
 from clacad.tracing.worst_cell import SeenCell, tried_cells, worst_of
 
 CELL_RAYS = 4096
@@ -48,17 +49,14 @@ FIT_FIELD = 0.35
 class MeshEvidence:
     """Measurements of a mesh file, for the report.
 
-    measure : Measure, design units
+    measure : design units
     cells : tuple of (i, j), rms : (cells,) radians
         Direction error of the file's triangles relative to the exact surfaces, cell by cell.
-    forecast : (cells,) radians
-        Direction error that the facets' slope errors predict.
-    slope_error : (faces,) radians
-        Rms over the middle cell.
+    forecast : (cells,) radians. Direction error that the facets' slope errors predict.
+    slope_error : (faces,) radians. Rms over the middle cell.
     law, law_design : Law or None
         Fitted through the file's triangles, and through the design cut into the same triangles; same rays.
-    gathered : CellFacets or None
-        Facets of the chosen cells, kept for measurements of a report beyond the checks.
+    gathered : Facets of the chosen cells, kept for measurements of a report beyond the checks.
     """
 
     measure: Measure
@@ -84,26 +82,18 @@ def checks_of_light(
 ) -> tuple[list[Check], MeshEvidence]:
     """Trace the same rays through the file's triangles and through the exact surfaces.
 
-    Parameters
-    ----------
-    gathered : CellFacets
-        Facets of the cells that are lit, the middle one first.
-    off : sequence of Deviation
-        Of these cells.
-    found : Measure
-        Of the whole file.
+    gathered : Facets of the cells that are lit, the middle one first.
+    off : Of these cells.
+    found : Of the whole file.
     present : names of its bodies, or None for all
-    clean : float, radians
-        Direction error of facets of this size with corners on the design. It caps the limit of faithfulness,
-        which noise in the file's own corners would otherwise widen.
-
-    Returns
-    -------
-    checks, evidence
-        Checks of light against the law (file_*), then against the design with the file's facets (faithful_*).
+    clean : radians. Direction error of facets of this size with corners on the design. It caps the limit of
+        faithfulness, which noise in the file's own corners would otherwise widen.
+    Returns checks, evidence: Checks of light against the law (file_*), then against the design with the
+        file's facets (faithful_*).
     """
     asked.progress("tracing the triangles", 0.0)
-    held, one = telescopelet(window, gathered, 0, present), seen_cell(window, gathered.cells[0])
+    held, cells = telescopelet(window, gathered, 0, present), [seen_cell(window, c) for c in gathered.cells]
+    one = cells[0]
     light = measure_light(
         asked.design,
         one.like,
@@ -113,10 +103,9 @@ def checks_of_light(
         gathered.cells[0] if window.uniform else None,
         one.send,
     )
-    rms, to_law, lost = np.array(list(_by_cell(asked, window, gathered, light, present))).T
+    rms, to_law, lost = np.array(list(_by_cell(asked, cells, gathered, light, present))).T
     law, exact, passed = _fits(asked, window, gathered, held, present)
-    likes = (like_cell(window, np.array(cell, dtype=np.int64), widest=False) for cell in gathered.cells)
-    forecasts = np.array([forecast_rms(like, d) for like, d in zip(likes, off, strict=True)])
+    forecasts = np.array([forecast_rms(cell.like, d) for cell, d in zip(cells, off, strict=True)])
     facts, slopes = {"lost": lost.tolist()}, off[0].slope_rms
     evidence = MeshEvidence(
         found, gathered.cells, rms, light.light.rms, forecasts, slopes, law, exact, facts, gathered
@@ -135,34 +124,42 @@ def rays_for(passed: int, share: float) -> int:
 
 
 def _by_cell(
-    asked: Inspection, window: Window, gathered: CellFacets, light: FileLight, present: Sequence[str] | None
+    asked: Inspection,
+    cells: Sequence[SeenCell],
+    gathered: CellFacets,
+    light: FileLight,
+    present: Sequence[str] | None,
 ) -> Iterator[tuple[float, float, float]]:
     """Of each cell: rms direction error (radians) to the exact surfaces and the law, share of lost rays."""
-    main, spec = light.light.lit, asked.design.check
-    for number, cell in enumerate(gathered.cells):
-        asked.progress("tracing the triangles", number / len(gathered.cells))
-        one, count = seen_cell(window, cell), len(main.rays)
+    window, main, count = cells[0].window, light.light.lit, min(asked.rays, CELL_RAYS)
+    own = [] if window.uniform else _own_light(asked, cells[1:], count)
+    for number, one in enumerate(cells):
+        asked.progress("tracing the triangles", number / len(cells))
         lit, seen, truth = one.placed(main), light.light.seen, light.compared.exact.seen
         if number:
-            count = min(asked.rays, CELL_RAYS)
-            if window.uniform:
-                lit = _moved(window, main, cell, count)
-            else:  # each cell is lit in its own field
-                alone = bundle(one.like, count, spec.field, spec.field_centre)
-                lit, truth = one.placed(alone), one.send(alone)
+            index = gathered.cells[number]
+            lit, truth = own[number - 1] if own else (_moved(window, main, index, count), truth)
             seen = trace_facets(telescopelet(window, gathered, number, present), lit.rays)
-        good, alive = truth.fate[:count] == Fate.ALIVE, seen.fate == Fate.ALIVE
+        truth = truth.rows(slice(len(seen)))
+        good, alive = truth.fate == Fate.ALIVE, seen.fate == Fate.ALIVE
         both = good & alive
         lost = 1.0 - both.sum() / max(1, good.sum())
         if lost > LOST:
             ideal = trace_facets(telescopelet(window, gathered, number, present, onto_design=True), lit.rays)
             lost = _lost(good, ideal.fate == Fate.ALIVE, alive, field=bool(window.thin.field))
         law = RequestedLaw.of(one.like)
-        yield (
-            rms_between(seen.direction, truth.direction[:count], both),
-            Light(lit, seen, law, fewest=1).rms,
-            lost,
-        )
+        yield rms_between(seen.direction, truth.direction, both), Light(lit, seen, law, fewest=1).rms, lost
+
+
+def _own_light(asked: Inspection, cells: Sequence[SeenCell], count: int) -> list[tuple[Bundle, TraceResult]]:
+    """Light of `count` rays in each cell's own field through the exact surfaces, all traced in one call."""
+    spec = asked.design.check
+    lit = [one.placed(bundle(one.like, count, spec.field, spec.field_centre)) for one in cells]
+    if not lit:
+        return []
+    rays = Rays(*(np.concatenate([getattr(one.rays, k) for one in lit]) for k in ("position", "direction")))
+    seen = trace(cells[0].window, rays, path="size")
+    return [(one, seen.rows(slice(count * k, count * (k + 1)))) for k, one in enumerate(lit)]
 
 
 def lit_cells(window: Window, field: float) -> tuple[tuple[int, int], ...]:
@@ -198,8 +195,6 @@ def _lost(good: Bools, ideal: Bools, alive: Bools, *, field: bool = False) -> fl
     numbers. The loss is therefore the larger of two: the loss in number, and the loss among the rays that
     pass both the exact surfaces and the design with the file's facets.
 
-    Parameters
-    ----------
     good, ideal, alive : (n,)
         Rays that pass the exact surfaces, the design with the file's facets, and the file.
     field : bool

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
 from clacad.formats.mesh.measure import Measure, crowded_edges, edge_times, vertex_hashes
 from clacad.judging.cell_triangles import CellFacets
 from clacad.sheet.face_order import plates_of
-from clacad.sheet.feasibility import body_facts
+from clacad.sheet.feasibility import body_facts, body_range
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 
@@ -40,11 +40,7 @@ FULL = 0.6
 def holding(mesh: FileMesh, shells: int | None) -> dict[str, Any]:
     """Contents of a mesh file for a workshop: `words`, and the numbers in them.
 
-    Parameters
-    ----------
-    mesh : FileMesh
-    shells : int or None
-        Closed surfaces with every instance counted; None where they were not counted.
+    shells : Closed surfaces with every instance counted; None where they were not counted.
     """
     objects, places = len(mesh.parts), sum(len(part.places) for part in mesh.parts)
     if places > objects:
@@ -70,14 +66,9 @@ def holding(mesh: FileMesh, shells: int | None) -> dict[str, Any]:
 class PartCount:
     """Counts of a part at all of its places (its copies may touch), and at one of them.
 
-    Parameters
-    ----------
-    pieces : int
-        Connected pieces, at all places.
-    holes : float
-        Half the sum of the missing Euler numbers, at all places.
-    crowded : int
-        Edges shared by a number of facets other than two, at one place.
+    pieces : Connected pieces, at all places.
+    holes : Half the sum of the missing Euler numbers, at all places.
+    crowded : Edges shared by a number of facets other than two, at one place.
     """
 
     pieces: int
@@ -171,11 +162,17 @@ def pieces_check(
     stated: Mapping[str, Any],
     counts: Sequence[PartCount] | None,
     counted: PieceCount | None = None,
+    wrong: Sequence[str] = (),
 ) -> list[Check]:
-    """Judge the number of connected pieces and holes of a file; `counted` while measuring facets."""
+    """Judge the number of connected pieces and holes of a file; `counted` while measuring facets.
+
+    wrong : from `misnamed`
+    """
     common: dict[str, Any] = {"where": "file", "subject": name, "relation": "=", "required": False}
     if found.facets == 0:
         return [PIECES.not_run("the file holds no triangles", **common)]
+    if mesh.stored_count > COUNTED_PIECES and wrong:
+        return [PIECES.check("fail", "; ".join(wrong), **common)]
     if mesh.stored_count > COUNTED_PIECES:
         why = (
             f"not counted and not required: {mesh.stored_count} facets in the file, and pieces are counted up"
@@ -202,8 +199,35 @@ def pieces_check(
     else:
         pieces = counted.pieces if counted else sum(connected(p) * len(p.places) for p in mesh.parts)
         sentence = f"{count_text(pieces, 'connected piece')}; {wanted} expected"
-    state: State = "pass" if pieces in expected else "fail"
+    state: State = "pass" if pieces in expected and not wrong else "fail"
+    sentence = "; ".join([sentence, *wrong])
     return [PIECES.check(state, sentence, float(pieces), wanted, detail={"holes": holes}, **common)]
+
+
+def misnamed(window: Window, named: Iterable[tuple[str, str]], what: str) -> list[str]:
+    """Sentences on things of a file with the name of a body of another medium.
+
+    named : name in the file, and name of the body of the design that lies there
+    what : word for one of them
+    """
+    index, wrong = {body.name: body.index for body in window.bodies}, []
+    for name, body in named:
+        said = max((one for one in index if name.startswith(one)), key=len, default=body)
+        if index[said] != index[body]:
+            wrong.append(f"the {what} named {name} lies where the design has {body}")
+    return wrong
+
+
+def named_objects(window: Window, mesh: FileMesh, factor: float) -> Iterator[tuple[str, str]]:
+    """Name of each object that begins with that of a body, and name of the body with the nearest heights."""
+    bodies = {body.name: np.array(body_range(window, body)) for body in window.bodies}
+    for part in mesh.parts:
+        if len({body.index for body in window.bodies}) > 1 and part.name.startswith(tuple(bodies)):
+            points = part.corners(0, part.facet_count) if part.vertices is None else part.vertices[:]
+            place = part.placed_at(np.zeros(1, dtype=np.int64))[0, :, 2]
+            z = points @ place[:3] + place[3]
+            own = factor * np.array([z.min(), z.max()])
+            yield part.name, min(bodies, key=lambda name: float(np.abs(bodies[name] - own).max()))
 
 
 def connected(part: Part) -> int:
@@ -235,7 +259,7 @@ class PieceCount:
 
     def add(self, corners: Floats) -> None:
         """Add facets (k, 3, 3)."""
-        from clacad.judging.compiled_pieces import join, rehash
+        from clacad.formats.mesh.compiled_measure import join, rehash
 
         keys = vertex_hashes(corners)
         most = self._vertices + keys.size
@@ -293,16 +317,11 @@ AT_RIM = 0.8
 class Rims:
     """Edges of a mesh without a second facet.
 
-    count : int
-        Directed edges without a partner.
-    place : (3,) lengths, file unit
-        Middle of one of them; NaN where there are none.
-    middles : (count, 3)
-        Middles of all of them.
-    closed_pieces : int
-        Connected pieces without such an edge: closed shells.
-    corners : (v, 3)
-        All vertices.
+    count : Directed edges without a partner.
+    place : (3,) lengths, file unit. Middle of one of them; NaN where there are none.
+    middles : (count, 3). Middles of all of them.
+    closed_pieces : Connected pieces without such an edge: closed shells.
+    corners : (v, 3). All vertices.
     """
 
     count: int
@@ -333,25 +352,17 @@ def rims(mesh: FileMesh) -> Rims:
 def is_open_surface(found: Rims, turn: Floats | None = None) -> bool:
     """Whether a mesh is a surface without a volume, such as a scan, rather than an incomplete solid.
 
-    Parameters
-    ----------
-    found : Rims
-    turn : (3, 3) or None
-        File → sheet frame: the rim lies around the third axis.
+    turn : (3, 3) or None. File → sheet frame: the rim lies around the third axis.
 
     Notes
     -----
-    Facets connected by edges are a piece (union-find over vertices). A piece whose every edge is used once
-    in each
-    direction is a closed shell. It has a volume, however small, so the file is meant as a solid; any open
-    edge next
-    to it is a fault. Where no piece is closed, the boundary decides. A measured surface ends at the rim of
-    the part:
-    seen along the sheet's normal, boundary edges lie at the rim all around it (in four fifths of 36 sectors,
-    in the
-    outer fifth of the way). A solid without a facet, a patch or a whole side wall has its boundary around
-    the gap
-    only. A soup whose facets share no corner is open at every edge and also counts as a surface.
+    Facets connected by edges are a piece (union-find over vertices). A piece whose every edge is used once in
+    each direction is a closed shell. It has a volume, however small, so the file is meant as a solid; any
+    open edge next to it is a fault. Where no piece is closed, the boundary decides. A measured surface ends
+    at the rim of the part: seen along the sheet's normal, boundary edges lie at the rim all around it (in
+    four fifths of 36 sectors, in the outer fifth of the way). A solid without a facet, a patch or a whole
+    side wall has its boundary around the gap only. A soup whose facets share no corner is open at every edge
+    and also counts as a surface.
     """
     if found.count == 0 or found.closed_pieces:
         return False

@@ -50,12 +50,9 @@ ANGLES = 8192
 class Sample:
     """Some facets of a file, evenly spread.
 
-    corners : (n, 3) lengths, file unit
-        Three of each facet.
-    facing : (n, 3)
-        Outward unit normals of the facets.
-    inward : (n, 3) lengths
-        From each corner to the middle of its facet.
+    corners : (n, 3) lengths, file unit. Three of each facet.
+    facing : (n, 3). Outward unit normals of the facets.
+    inward : (n, 3) lengths. From each corner to the middle of its facet.
     """
 
     corners: Floats
@@ -67,12 +64,9 @@ class Sample:
 class PartFrame:
     """Candidate axes along which a part was made.
 
-    turn : (3, 3)
-        File → frame.
-    extent, centre : (3,) lengths, file unit
-        Of the part's bounding box in the frame.
-    straight : bool
-        Whether these are the file's own axes.
+    turn : (3, 3). File → frame.
+    extent, centre : (3,) lengths, file unit. Of the part's bounding box in the frame.
+    straight : Whether these are the file's own axes.
     """
 
     turn: Floats
@@ -86,12 +80,7 @@ VAST = 1e60
 
 
 def _refuse_vast(mesh: FileMesh, chunk: Floats) -> None:
-    """Refuse corners (k, 3, 3) with coordinates that no part can have.
-
-    Raises
-    ------
-    CannotRegister
-    """
+    """Refuse corners (k, 3, 3) with coordinates that no part can have. Raises CannotRegister."""
     most = float(np.abs(chunk).max(initial=0.0))
     if most > VAST or 0.0 < most < 1.0 / VAST:
         text = f"{mesh.name or 'the file'} has coordinates of up to {most:.3g}: in no unit is that a part"
@@ -162,14 +151,8 @@ def _lean(areas: Floats, whole: Floats) -> Floats:
 def frames(mesh: FileMesh, sample: Sample, window: Window, factors: Floats) -> Iterator[PartFrame]:
     """Candidate frames for a part that is not aligned with the axes of its file.
 
-    Parameters
-    ----------
-    mesh : FileMesh
-    sample : Sample
-    window : Window
-        The design; its lattice is searched for.
-    factors : (m,)
-        Candidate values of design units per file unit.
+    window : The design; its lattice is searched for.
+    factors : (m,). Candidate values of design units per file unit.
     """
     hull = _hull(mesh)
     if hull is None:

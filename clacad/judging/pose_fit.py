@@ -51,19 +51,13 @@ AS_WRITTEN = 1e-5
 class PartPose:
     """Similarity from a file to the design: x ↦ scale · turn · x · factor + move.
 
-    unit : str
-        Name of the file's unit; factor : design units per file unit.
-    axes : (3, 3)
-        The nearest axis permutation (a signed permutation matrix), det −1 if mirrored.
-    turn : (3, 3)
-        The rotation itself.
-    scale : float
-        Size of the part over the design's.
+    unit : Name of the file's unit; factor : design units per file unit.
+    axes : (3, 3). The nearest axis permutation (a signed permutation matrix), det −1 if mirrored.
+    turn : (3, 3). The rotation itself.
+    scale : Size of the part over the design's.
     move : (3,) lengths
-    residual : float, length
-        Robust rms distance of the part's corners from the design's faces.
-    median : float, length
-        Median distance of the corners.
+    residual : length. Robust rms distance of the part's corners from the design's faces.
+    median : length. Median distance of the corners.
     """
 
     unit: str

@@ -57,25 +57,16 @@ BETTER = 0.7
 class Placed:
     """A part in the design's frame.
 
-    window : Window
-        Window with the cells that the part holds.
-    mesh : FileMesh
-        In design units and the sheet frame, at the design's size; the file itself where the part lies as
+    window : Window with the cells that the part holds.
+    mesh : In design units and the sheet frame, at the design's size; the file itself where the part lies as
         written.
-    factor : float
-        Design units per unit of `mesh`.
+    factor : Design units per unit of `mesh`.
     present : names of the bodies it holds
-    pose : PartPose
-    whole : bool
-        Whether it was cut along cell borders, so that its sides are the design's.
-    exact : bool
-        Whether it lies as written, to rounding.
-    note : str
-        Result of the registration, in words.
-    checks : list of Check
-        The checks pose and handedness.
-    file : FileMesh or None
-        The file as read, in its own unit and frame.
+    whole : Whether it was cut along cell borders, so that its sides are the design's.
+    exact : Whether it lies as written, to rounding.
+    note : Result of the registration, in words.
+    checks : The checks pose and handedness.
+    file : The file as read, in its own unit and frame.
     """
 
     window: Window
@@ -93,18 +84,8 @@ class Placed:
 def place(design: Design, subject: Subject, mesh: FileMesh, cells: Window | None) -> Placed:
     """Register a part.
 
-    Parameters
-    ----------
-    design : Design
-    subject : Subject
-    mesh : FileMesh
-    cells : Window or None
-        Window with the cells that the file holds according to the caller.
-
-    Raises
-    ------
-    CannotRegister
-        The part fits this design in no unit and turn, or equally well in two units.
+    cells : Window with the cells that the file holds according to the caller.
+    Raises CannotRegister: The part fits this design in no unit and turn, or equally well in two units.
     """
     whole = prescribe(design) if cells is None else cells
     pitch = min(whole.lattice.pitch)

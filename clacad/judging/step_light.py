@@ -22,6 +22,7 @@ from clacad.light.measure import Light, Send
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
 from clacad.sheet.face_order import plates_of
+from clacad.sheet.like_cell import lit_by
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Body, Face, Window, optical_tile
 from clacad.tracing.facets.telescopelet import ExactFace, FacetBody, trace_facets
@@ -62,13 +63,9 @@ def light_of_cells(
 ) -> tuple[FileLight, list[float], list[tuple[int, int]]]:
     """Light through the cell by which a sheet is judged; in a non-uniform sheet through other cells too.
 
-    Parameters
-    ----------
     design, window
-    send : callable
-        Bundle → TraceResult through the file.
-    rays : int
-        Of the main bundle.
+    send : Bundle → TraceResult through the file.
+    rays : Of the main bundle.
 
     Returns
     -------
@@ -88,7 +85,7 @@ def light_of_cells(
     )
     rms, cells = [light.light.rms], [(int(worst.cell[0]), int(worst.cell[1]))]
     for one in tried:
-        if one is worst:
+        if (one.cell == worst.cell).all():
             continue
         lit = bundle(one.like, CELL_RAYS, design.check.field)
         found = Light(lit, send(one.placed(lit)), RequestedLaw.of(one.like), fewest=CELL_RAYS // 4)
@@ -101,15 +98,10 @@ def light_of_cells(
 class FaceTracer:
     """Traces bundles through the faces of one file.
 
-    worker : Worker
-        Worker that has read the file.
-    path : str
-    window : Window
+    worker : Worker that has read the file.
     held : names of the bodies the file holds
-    by_occ : bool
-        Whether the faces are those OCC reads, else the patches of the text.
-    z : float, mm
-        Height of the sheet's own z = 0 in the file.
+    by_occ : Whether the faces are those OCC reads, else the patches of the text.
+    z : mm. Height of the sheet's own z = 0 in the file.
     """
 
     worker: Worker
@@ -126,6 +118,9 @@ class FaceTracer:
         lenses of several telescopelets. LAND: through a face that is no lens. WALL: at a wall, or where no
         face was hit.
         """
+        if lit.rays.wavelength is not None:
+            rays = Rays(lit.rays.position, lit.rays.direction)
+            return replace(self, window=lit_by(self.window, lit.rays))(replace(lit, rays=rays))
         state = _State(lit.rays)
         for inside, plates in groupby(plates_of(self.window.bodies), self._holds):
             bodies = tuple(body for plate in plates for body in plate)
@@ -201,7 +196,7 @@ def on_lens(window: Window, face: Any, place: Floats) -> NDArray[np.bool_]:
     room = 1e-9 * min(window.lattice.pitch)
     proud = np.ones(len(place), dtype=bool)
     if face.land is not None:
-        proud = (face.land - place[:, 2]) * face.side >= -room
+        proud = (face.land - place[:, 2]) * face.land_side >= -room
     if window.land.seam > 0.0:
         corners = optical_tile(window, face.array)
         for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -229,7 +224,7 @@ def _through_design(state: _State, window: Window, lit: Bundle, bodies: tuple[Bo
         centre = window.centres(0 if face.array is None else face.array, cell)
         return ExactFace(window.in_cell(face, cell), np.append(centre, 0.0))
 
-    pieces = tuple(FacetBody(exact(body.front), exact(body.back), body.index, body.joined) for body in bodies)
+    pieces = tuple(FacetBody(exact(body.front), exact(body.back), body) for body in bodies)
     found = trace_facets(pieces, Rays(state.position[live], state.direction[live]))
     state.position[live], state.direction[live], state.fate[live] = (
         found.position,

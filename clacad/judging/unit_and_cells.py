@@ -46,15 +46,13 @@ class CannotRegister(ValueError):
 
 
 def written_window(
-    design: Design, manifest: Mapping[str, Any] | None, cells: tuple[int, int] | None
+    design: Design, whole: Window, manifest: Mapping[str, Any] | None, cells: tuple[int, int] | None
 ) -> Window | None:
     """Window with the cells that were written, as given by the manifest or the caller; None if neither gives
     them.
 
-    Raises
-    ------
-    LimitRefused
-        More cells than an export writes.
+    whole : window of the design with all its cells
+    Raises LimitRefused: More cells than an export writes.
     """
     if cells is not None:
         refuse_cells(*cells)
@@ -66,7 +64,7 @@ def written_window(
     if not (isinstance(count, list) and len(count) == 2 and all(isinstance(n, int) and n > 0 for n in count)):
         return None
     if tuple(count) == design.lattice.count:
-        return prescribe(design)
+        return whole
     refuse_cells(count[0], count[1])
     return prescribe(design.with_cells((count[0], count[1])))
 

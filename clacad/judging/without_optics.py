@@ -6,25 +6,36 @@ by light cannot make a delivery pass, and a file with the measurements of the de
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.checks.check import Check, derived
+from clacad.base.units import millimetres
+from clacad.checks.check import Check, default, derived
 from clacad.checks.file_kinds import BODIES, CLOSED, DELIVERY, READABLE, VOLUME, unreadable
+from clacad.exporting.fixtures.baffle import WALLS, baffle_meshes
 from clacad.exporting.formats.registry import formats, without_optics
+from clacad.exporting.formats.sequential import ZMX
 from clacad.exporting.roles import Role
 from clacad.formats.mesh.file_mesh import FileMesh
-from clacad.judging.delivery import Subject, part_kind
-from clacad.judging.map_file import kind_of_map
+from clacad.formats.sequential.stations import from_own_cell, traced
+from clacad.judging.delivery import Inspection, Subject, part_kind
+from clacad.judging.file_light import WHITE_RAYS, lines_of, white_check
+from clacad.judging.map_file import described, kind_of_map
 from clacad.judging.unit_and_cells import FACTORS, SAME_EXTENT
+from clacad.light.compare import WhiteLight
+from clacad.light.measure import measure
+from clacad.optics.rays import TraceResult
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
 from clacad.sheet.feasibility import body_range
+from clacad.sheet.like_cell import interfaces, lit_by
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 from clacad.storage.errors import ExportError
+from clacad.tracing.trace import trace
 
 SAME_VOLUME = 1e-6
 """Relative difference of volume up to which a non-optical part has the volume its manifest states."""
@@ -34,19 +45,17 @@ SAME_VOLUME = 1e-6
 class Reason:
     """Reason why a file is not judged by light.
 
-    note : str
-        Text in the list of files.
-    withheld : str
-        Why the file should have been judged; "" for a file that has no optics.
+    note : Text in the list of files.
+    withheld : Why the file should have been judged; "" for a file that has no optics.
     """
 
     note: str
     withheld: str = ""
 
 
-def fixture_names() -> frozenset[str]:
-    """Names of the parts that an export writes in addition to the optics."""
-    return frozenset(name for one in formats() for name in one.bodies)
+def is_fixture(name: str) -> bool:
+    """Whether a name, numbered or not, is that of a part that exports write in addition to the optics."""
+    return any(name.rstrip("0123456789") in one.bodies for one in formats())
 
 
 def no_optics(window: Window, subject: Subject) -> Reason | None:
@@ -62,7 +71,7 @@ def no_optics(window: Window, subject: Subject) -> Reason | None:
         )
     if subject.role is not Role.OTHER and (not named or named & names):
         return None
-    if named & names or not named <= fixture_names():
+    if named & names or not all(map(is_fixture, named)):
         listed = ", ".join(sorted(named))
         return Reason(
             "not judged",
@@ -123,19 +132,44 @@ def _extent(mesh: FileMesh) -> NDArray[np.float64]:
     return np.asarray(high - low)
 
 
-def judge_other(subject: Subject, reason: Reason) -> list[Check]:
-    """Judge a non-optical file by its shape, and report a file that is withheld from judgement."""
+def judge_other(asked: Inspection, window: Window, subject: Subject, reason: Reason) -> list[Check]:
+    """Judge a non-optical file by its shape, and report a file that is withheld from judgement.
+
+    A prescription is also judged in white light, where the design judges it.
+    """
     common: dict[str, Any] = {"where": "file", "subject": subject.name}
     if reason.withheld:
         return [DELIVERY.check("fail", f"{subject.name}: {reason.withheld}", **common)]
     try:
-        return _shape(subject, common)
+        return [*_shape(window, subject, common), *_white_light(asked, window, subject)]
     except (ExportError, OSError, ValueError) as error:
         return [unreadable(error, **common)]
 
 
-def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
-    """Checks of a non-optical file: readable, closed, of the stated volume."""
+def _white_light(asked: Inspection, window: Window, subject: Subject) -> Iterator[Check]:
+    """Law error in white light through a prescription, by the indices of the design's materials."""
+    spec = asked.design.check
+    if subject.format != ZMX or spec.law_white is None:
+        return
+    from clacad.formats.sequential.zmx import read_zmx
+
+    sheet, read = described(window, subject), read_zmx(subject.path)
+
+    def send(lit: Bundle) -> TraceResult:
+        index = [face.index_after for face in interfaces(lit_by(sheet, lit.rays))]
+        faces = [replace(one, index=n) for one, n in zip(read, index, strict=True)]
+        start, direction = from_own_cell(sheet, lit)
+        low = np.array([0.0, 0.0, sheet.z_range[0] * millimetres(sheet.unit)])
+        return replace(trace(sheet, lit.rays, path="size"), direction=traced(faces, start - low, direction))
+
+    lit, law = bundle(sheet, WHITE_RAYS, spec.field, spec.field_centre), RequestedLaw.of(sheet)
+    lines = lines_of(asked.design, sheet)
+    white = WhiteLight(measure(send, lit, law), measure(send, lit, law, lines), lines)
+    yield white_check(asked, white, "faces, with the indices of the design's materials,")
+
+
+def _shape(window: Window, subject: Subject, common: dict[str, Any]) -> list[Check]:
+    """Checks of a non-optical file: readable, closed, of the stated volume; a baffle of the design's."""
     if subject.is_solid and subject.kind is not None and subject.kind.text_budget:
         from clacad.formats.step.text_health import scan_step
 
@@ -144,6 +178,9 @@ def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
         sentence = f"{scan.open_edges} edges have one face, {scan.dangling} references lead nowhere"
         state = CLOSED.check("fail" if loose else "pass", sentence, float(loose), 0.0, **common)
         return [READABLE.check("pass", f"{scan.solids} solids with {scan.faces} faces", **common), state]
+    if subject.kind is not None and (reading := subject.kind.reading.sheet) is not None:
+        _, _, what = reading(described(window, subject), subject.path)
+        return [READABLE.check("pass", what, required=False, **common)]
     if not subject.is_mesh:
         return [READABLE.check("pass", "judged by its bytes", required=False, **common)]
     from clacad.formats.mesh.measure import measure
@@ -156,6 +193,13 @@ def _shape(subject: Subject, common: dict[str, Any]) -> list[Check]:
         if found.closed
         else CLOSED.check("fail", "the surface is not closed or not consistently wound", **common),
     ]
+    honeycombs = {} if window.baffle is None else {one.name: one for one in baffle_meshes(window)}
+    if (named := [honeycombs[name] for name in subject.bodies if name in honeycombs]) and found.closed:
+        want = sum(one.volume() for one in named) * millimetres(window.unit) ** 3
+        text = f"it encloses {found.volume:.9g} mm³, the walls between the channels {want:.9g} mm³"
+        off, source = abs(found.volume / want - 1.0), default(f"{WALLS:g} relative")
+        checks.append(VOLUME.judge(off, WALLS, text, unit="relative", limit_source=source, **common))
+        return checks
     stated = subject.entry.get("volume")
     if isinstance(stated, (int, float)) and stated > 0.0:
         text = f"it encloses {found.volume:.9g}, {stated:.9g} stated"

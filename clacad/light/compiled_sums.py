@@ -28,10 +28,8 @@ def add_rays(law: Floats, fate: Bytes, ray: Floats, out: Floats, sums: Floats) -
     """Add m rays to the sums; return the largest angle to the law.
 
     law : see `law_numbers`
-    ray, out : (m, 3)
-        Before the sheet, of any length, and behind it.
-    sums : (2, NUMBERS)
-        With the rounding error.
+    ray, out : (m, 3). Before the sheet, of any length, and behind it.
+    sums : (2, NUMBERS). With the rounding error.
     """
     part, worst = np.zeros(NUMBERS), 0.0
     for first in range(0, len(fate), FEW):

@@ -28,8 +28,7 @@ class Confocality:
 
     shift : (2,) lengths
         How far lens 2 must move along the axis, per lens meridian; NaN in a meridian without power.
-    distance : float, length
-        Distance between the lenses along the axis; for a slab, in glass.
+    distance : length. Distance between the lenses along the axis; for a slab, in glass.
     power : (2, 2) radians/length
         Change of exit direction with entrance height, lens frame, as built, minus the requested change.
     """
@@ -95,10 +94,7 @@ def field_onto_axis(window: Window, start: Floats) -> Floats | None:
     """Slide (3,) of the field lens that puts its first apex on the axis ray from `start` (3,), lengths, or
     None.
 
-    Raises
-    ------
-    ValueError
-        The axis ray does not reach the field lens.
+    Raises ValueError: The axis ray does not reach the field lens.
     """
     if not window.field_array:
         return None

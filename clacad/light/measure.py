@@ -41,20 +41,12 @@ class Light:
 
     Every quantity is computed when it is first read.
 
-    Parameters
-    ----------
-    lit : Bundle
-        Rays as sent.
-    seen : TraceResult
-        Where the sender sent them.
-    law : RequestedLaw
-        Law and power that the light is compared with.
-    fewest : int
-        Least number of ALIVE rays for a result other than NaN.
-    weight : (n,) or None
-        Weight of each ray; None: all equal.
-    lines : tuple of Light
-        Light of each wavelength and temperature; empty for light of the design's.
+    lit : Rays as sent.
+    seen : Where the sender sent them.
+    law : Law and power that the light is compared with.
+    fewest : Least number of ALIVE rays for a result other than NaN.
+    weight : (n,) or None. Weight of each ray; None: all equal.
+    lines : Light of each wavelength and temperature; empty for light of the design's.
     """
 
     lit: Bundle
@@ -157,6 +149,13 @@ class Light:
         return None if self.dark else fitted_law(*_in_and_out(self), self.law.law)
 
 
+def mean_rms(light: Light) -> float:
+    """Mean over the lines of light, with their weights, of each line's `rms` (radians); of one line `rms`."""
+    if not light.lines:
+        return light.rms
+    return float(np.average([line.rms for line in light.lines], weights=_of_lines(light)))
+
+
 def rms_of(light: Light, rays: Bools) -> float:
     """Root mean square angle to the law (radians) of some of the rays (n,) that have an error."""
     return rms_angle(light.error[rays], _some(light.weight, rays), light.fewest)
@@ -183,26 +182,14 @@ def measure(
 ) -> Light:
     """Send a bundle of rays and compare it with the law.
 
-    Parameters
-    ----------
-    send : callable
-        Bundle → TraceResult.
-    lit : Bundle
-    law : RequestedLaw
-    wavelengths : mapping of metres to weight, or metres
-        Empty: the design's, without weights.
+    send : Bundle → TraceResult.
+    wavelengths : mapping of metres to weight, or metres. Empty: the design's, without weights.
     temperatures : mapping of kelvin above the design's temperature to weight, or kelvin
         Empty: the design's. Other than 0 needs a sender with a method `heated`.
-    fewest : int
-        Least number of ALIVE rays for a result other than NaN; of all lines together.
-
-    Raises
-    ------
-    TypeError
-        The sender has no temperature.
-    ValueError
-        A weight is not a positive number; or the index is not known at a wavelength, or its change with
-        temperature.
+    fewest : Least number of ALIVE rays for a result other than NaN; of all lines together.
+    Raises TypeError: The sender has no temperature.
+    Raises ValueError: A weight is not a positive number; or the index is not known at a wavelength, or its
+        change with temperature.
     """
     if not wavelengths and not temperatures:
         return Light(lit, send(lit), law, fewest)
@@ -234,6 +221,15 @@ def lights(
         last = first + len(lit.rays)
         yield Light(lit, seen.rows(slice(first, last)), law, fewest)
         first = last
+
+
+def first_rays(light: Light, count: int) -> Light:
+    """Light of the first rays of a bundle; light of one line."""
+    lit, some = light.lit, slice(count)
+    rays = Rays(lit.rays.position[some], lit.rays.direction[some])
+    return Light(
+        replace(lit, rays=rays, points=lit.points[some]), light.seen.rows(some), light.law, light.fewest
+    )
 
 
 def fitted_law(into: Floats, out: Floats, axes: Law) -> Law | None:
@@ -269,10 +265,14 @@ def _mean_law(light: Light) -> Law | None:
     whole = [law for law in laws if law is not None]
     if len(whole) < len(laws):
         return None
-    assert light.weight is not None  # several lines have weights
-    weights = [float(part[0]) for part in np.split(light.weight, len(laws))]
-    numbers = np.average([linear_numbers(law) for law in whole], axis=0, weights=weights)
+    numbers = np.average([linear_numbers(law) for law in whole], axis=0, weights=_of_lines(light))
     return with_linear_numbers(whole[0], numbers)
+
+
+def _of_lines(light: Light) -> Floats:
+    """Weight of each line of light of several lines (lines,)."""
+    assert light.weight is not None  # several lines have weights
+    return light.weight[:: len(light.weight) // len(light.lines)]
 
 
 def _some(weight: Floats | None, rays: Bools) -> Floats | None:

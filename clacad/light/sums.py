@@ -63,18 +63,11 @@ Summed = tuple[Floats, float]
 class LightSums:
     """Sums over many rays.
 
-    Attributes
-    ----------
-    law : Law
-        Law that angles are measured to.
-    counts : dict
-        Number of rays of each fate, by name.
-    known : int
-        ALIVE rays for which the law has an answer; angles are over these.
-    worst : float, radians
-        Largest angle.
-    sums : (NUMBERS,) array
-        See `KNOWN` and the constants after it.
+    law : Law that angles are measured to.
+    counts : Number of rays of each fate, by name.
+    known : ALIVE rays for which the law has an answer; angles are over these.
+    worst : radians. Largest angle.
+    sums : (NUMBERS,) array. See `KNOWN` and the constants after it.
     """
 
     law: Law
@@ -97,10 +90,7 @@ class LightSums:
     def step(self) -> Floats:
         """Change of (1/η_x, 1/η_y, δ_x/η_x, δ_y/η_y) that fits the law to these rays, to first order.
 
-        Raises
-        ------
-        ValueError
-            The rays do not determine the four numbers.
+        Raises ValueError: The rays do not determine the four numbers.
         """
         n, g = self.sums[NORMAL:GRADIENT], self.sums[GRADIENT:]
         matrix = np.array(
@@ -125,10 +115,7 @@ class LightSums:
     def nearer_law(self) -> Law:
         """Law after one `step`, with its orientation fixed.
 
-        Raises
-        ------
-        ValueError
-            As `step`; or an η would be infinite.
+        Raises ValueError: As `step`; or an η would be infinite.
         """
         return with_linear_numbers(self.law, linear_numbers(self.law) + self.step())
 
@@ -138,15 +125,8 @@ def summed(
 ) -> LightSums:
     """Trace rays piece by piece and sum them.
 
-    Parameters
-    ----------
-    traced : callable
-        Rays of a piece → their result.
-    rays : Rays
-    law : Law
-    add : callable or None
-        Kernel that makes the sums (`compiled_sums.add_rays`); None: numpy makes them.
-    threads : int
+    traced : Rays of a piece → their result.
+    add : Kernel that makes the sums (`compiled_sums.add_rays`); None: numpy makes them.
     """
 
     def one(first: int) -> Summed:
@@ -167,18 +147,9 @@ def summed(
 def fitted(sums: Callable[[Rays, Law | None], LightSums], rays: Rays, law: Law | None = None) -> LightSums:
     """Sums about the law that the ALIVE rays show, found by repeated tracing until it converges.
 
-    Parameters
-    ----------
-    sums : callable
-        `Tracer.sums`: rays and a law → their sums about it.
-    rays : Rays
-    law : Law or None
-        Start of the fit, whose orientation is kept; None: the law of the window's design.
-
-    Raises
-    ------
-    ValueError
-        As `LightSums.nearer_law`; or the fit does not converge.
+    sums : `Tracer.sums`: rays and a law → their sums about it.
+    law : Start of the fit, whose orientation is kept; None: the law of the window's design.
+    Raises ValueError: As `LightSums.nearer_law`; or the fit does not converge.
     """
     found = sums(rays, law)
     for _ in range(STEPS):
@@ -215,8 +186,7 @@ def _together(law: Law, pieces: Sequence[Summed]) -> LightSums:
 def sums_of(law: Law, ray: Floats, result: TraceResult) -> tuple[Floats, float]:
     """Sums (NUMBERS,) over the rays of a result and the largest angle to the law (radians).
 
-    ray : (m, 3)
-        Directions before the sheet.
+    ray : (m, 3). Directions before the sheet.
     """
     sums = np.zeros(NUMBERS)
     sums[:KNOWN] = np.bincount(result.fate, minlength=KNOWN)

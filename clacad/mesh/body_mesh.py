@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from math import fsum
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.arrays import unique_rows
 from clacad.base.types import Floats, Ints
-from clacad.mesh.facet_error import facet_errors
-from clacad.mesh.health import flux
+from clacad.mesh.cell_blocks import CellBlock, OwnBlock, number_rows, own_blocks
+from clacad.mesh.health import facet_errors, flux
 from clacad.mesh.land_ring import JUDGED, Tiled, row_states
 from clacad.sheet.representative_cells import representative_cells
 
@@ -26,35 +25,6 @@ if TYPE_CHECKING:
     from clacad.sheet.window import Body, Window
 
 _CHUNK = 20_000  # largest number of triangles of an expanded block, about: they fit the second-level cache
-
-
-@dataclass(frozen=True, eq=False)
-class CellBlock:
-    """Cells of one row that share a template.
-
-    template : Template
-    cells : (n, 2) int64
-    tiled : Tiled
-    """
-
-    template: Template
-    cells: Ints
-    tiled: Tiled
-
-    def corners(self, first: int, last: int) -> Floats:
-        """Triangle corners (k, 3, 3) of cells first … last − 1."""
-        return self.vertices(first, last)[:, self.template.triangles].reshape(-1, 3, 3)
-
-    def vertices(self, first: int, last: int) -> Floats:
-        """Vertices (cells, v, 3) of cells first … last − 1: the owner's centre plus its frame's x, y."""
-        t, shift = self.template, np.array(self.tiled.shift)
-        steps, which = t.owners
-        centres = self.tiled.lattice.centres(self.cells[first:last, None, :] + steps[None]) + shift
-        out = np.empty((last - first, len(t.z), 3))
-        out[:, :, :2] = centres[:, which, :]
-        out[:, :, :2] += t.xy
-        out[:, :, 2] = t.z
-        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +44,6 @@ class Plain:
     def corners(self) -> Floats:
         """Corners (t, 3, 3) of its triangles."""
         return np.asarray(self.vertices[self.triangles])
-
-
-@dataclass(frozen=True, slots=True)
-class Tally:
-    """Totals over all triangles, known after one pass: their number, and their enclosed volume (length³)."""
-
-    facets: int
-    volume: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +68,8 @@ class BodyMesh:
         Volume added by bevels at saddles (length³).
     cells : (n, 2) ints or None
         The kept cells included in the mesh; None: all of them. See `part`.
+    counted : list of int
+        The number of triangles, once a complete pass has found it.
     """
 
     name: str
@@ -118,7 +82,7 @@ class BodyMesh:
     saddles: int = 0
     bevel_volume: float = 0.0
     cells: Ints | None = None
-    _tallied: list[Tally] = field(default_factory=list, init=False, repr=False)
+    counted: list[int] = field(default_factory=list, init=False, repr=False)
 
     @property
     def own(self) -> bool:
@@ -152,20 +116,19 @@ class BodyMesh:
         """Largest normal distance between facet and exact surface (length)."""
         return self._errors[1]
 
-    def blocks(self) -> Iterator[CellBlock]:
-        """Cells grouped by row and template; in a non-uniform sheet their totals are counted on the way."""
+    def blocks(self) -> Iterator[CellBlock | OwnBlock]:
+        """Cells grouped by row and template; in a non-uniform sheet in batches of some rows."""
         lattice = self.window.lattice
-        count, volumes = len(self.plain.triangles), [fsum(flux(self.plain.corners).tolist())]
         for tiled in self.tiled:
-            for j in range(lattice.count[1]):
-                row = lattice.row(j) if self.cells is None else self.cells[self.cells[:, 1] == j]
-                for block in _row_blocks(self, tiled, row):
-                    yield block
-                    if self.own and not self._tallied:
-                        count += len(block.cells) * len(block.template.triangles)
-                        volumes.append(len(block.cells) * fsum(flux(block.corners(0, 1)).tolist()))
-        if self.own and not self._tallied:
-            self._tallied.append(Tally(count, fsum(volumes)))
+            rows = (
+                lattice.row(j) if self.cells is None else self.cells[self.cells[:, 1] == j]
+                for j in range(lattice.count[1])
+            )
+            if tiled.own is not None:
+                yield from own_blocks(tiled, rows, partial(_states, self, tiled))
+                continue
+            for row in rows:
+                yield from _row_blocks(self, tiled, row)
 
     @cached_property
     def census(self) -> tuple[tuple[Template, Lattice, int], ...]:
@@ -190,22 +153,19 @@ class BodyMesh:
         In a non-uniform sheet all of them are made once to count them.
         """
         if self.own:
-            return _totals(self).facets
+            return _count(self)
         return sum(len(t.triangles) * number for t, _, number in self.census) + len(self.plain.triangles)
 
     @cached_property
     def facets_about(self) -> int:
         """Number of triangles; in a non-uniform sheet estimated from a sample of cells."""
         if self.cells is not None:
-            return _totals(self).facets
+            return _count(self)
         total = len(self.plain.triangles) + sum(len(t.triangles) * number for t, _, number in self.census)
-        for tiled in (one for one in self.tiled if one.own is not None):
+        if any(tiled.own is not None for tiled in self.tiled):
             cells = representative_cells(self.window, "sample", JUDGED)
-            sampled = 0
-            for i, j in cells.tolist():
-                states = _states(self, tiled, np.array([[i, j]]))[0]
-                sampled += len(tiled.maker_at(i, j).template(states).triangles)
-            total += sampled * self.window.lattice.cell_count // len(cells)
+            blocks = (block for block in self.part(cells).blocks() if not isinstance(block, CellBlock))
+            total += sum(len(block.facets) for block in blocks) * self.window.lattice.cell_count // len(cells)
         return total
 
     def rows(self) -> Iterator[Floats]:
@@ -213,30 +173,34 @@ class BodyMesh:
 
         Memory is that of one block, for any number of cells; blocks come in a fixed order.
         """
-        for block, first, last in _portions(self):
-            yield block.corners(first, last)
-        if len(self.plain.triangles):
-            yield self.plain.corners
+        count = 0
+        for corners in _corner_blocks(self):
+            yield corners
+            count += len(corners)
+        self.counted[:] = [count]
 
     @cached_property
     def _expanded(self) -> tuple[Floats, Ints]:
         """Shared vertices and triangles of the whole body."""
         keys, positions, triangles, count = [], [], [], 0
+        keyed = len(self.tiled) == 1  # points of two tilings have the same numbers but are never shared
         for block in self.blocks():
-            t = block.template
-            owner = block.cells[:, None, :] + t.owner[None]
-            rest = np.broadcast_to(np.stack([t.point, t.level], axis=1), (*owner.shape[:2], 2))
-            keys.append(np.concatenate([owner, rest], axis=2).reshape(-1, 4))
             positions.append(block.vertices(0, len(block.cells)).reshape(-1, 3))
-            start = count + len(t.z) * np.arange(len(block.cells))
-            triangles.append((t.triangles[None] + start[:, None, None]).reshape(-1, 3))
-            count += len(keys[-1])
-        keys.append(self.plain.key)
+            triangles.append(block.triangles(count))
+            count += len(positions[-1])
+            if keyed:
+                keys.append(block.keys())
         positions.append(self.plain.vertices)
         triangles.append(self.plain.triangles + count)
-        if len(self.tiled) > 1:  # points of the two tilings have the same numbers but are never shared
-            return _weld_positions(np.concatenate(positions), np.concatenate(triangles))
-        return _weld(np.concatenate(keys), np.concatenate(positions), np.concatenate(triangles))
+        self.counted[:] = [sum(map(len, triangles))]
+        place, corners = np.concatenate(positions), np.concatenate(triangles)
+        positions.clear()
+        triangles.clear()
+        return (
+            _weld(np.concatenate([*keys, self.plain.key]), place, corners)
+            if keyed
+            else _weld_positions(place, corners)
+        )
 
     @property
     def vertices(self) -> Floats:
@@ -251,7 +215,7 @@ class BodyMesh:
     def volume(self) -> float:
         """Volume by the divergence sum over the templates (length³), compensated."""
         if self.own:
-            return _totals(self).volume
+            return fsum(float(flux(corners).sum()) for corners in self.rows())
         return mesh_volume(self)
 
 
@@ -259,10 +223,6 @@ def _row_blocks(mesh: BodyMesh, tiled: Tiled, row: Ints) -> Iterator[CellBlock]:
     if not len(row):
         return
     states = _states(mesh, tiled, row)
-    if tiled.own is not None:
-        for n, (i, j) in enumerate(row.tolist()):
-            yield CellBlock(tiled.own.at((i, j)).template(states[n]), row[n : n + 1], tiled)
-        return
     kinds, which = np.unique(states, axis=0, return_inverse=True)
     for n, kind in enumerate(kinds):
         yield CellBlock(tiled.maker.template(kind), row[which.ravel() == n], tiled)
@@ -274,39 +234,41 @@ def _states(mesh: BodyMesh, tiled: Tiled, row: Ints) -> NDArray[np.uint8]:
     return row_states(mesh.window, row, tiled.maker.offsets, mesh.ringed, tiled.lattice, apart)
 
 
-def _totals(mesh: BodyMesh) -> Tally:
-    """Totals over all triangles; computed by a complete pass over `blocks`."""
-    if not mesh._tallied:
-        for _ in mesh.blocks():
+def _count(mesh: BodyMesh) -> int:
+    """Number of triangles; counted by a complete pass over `rows`."""
+    if not mesh.counted:
+        for _ in mesh.rows():
             pass
-    return mesh._tallied[0]
+    return mesh.counted[0]
 
 
-def _portions(mesh: BodyMesh) -> Iterator[tuple[CellBlock, int, int]]:
-    """Blocks cut to a bounded number of triangles: (block, first cell, last cell + 1)."""
+def portions(mesh: BodyMesh) -> Iterator[tuple[CellBlock | OwnBlock, int, int]]:
+    """Blocks of `rows`, cut to a bounded number of triangles: (block, first cell, last cell + 1)."""
     for block in mesh.blocks():
+        if not isinstance(block, CellBlock):
+            yield block, 0, len(block.cells)
+            continue
         each = max(1, _CHUNK // len(block.template.triangles))
         for first in range(0, len(block.cells), each):
             yield block, first, min(first + each, len(block.cells))
 
 
-def block_parts(mesh: BodyMesh) -> Iterator[tuple[CellBlock, int]]:
-    """Yield (block, number of cells) of each block of `rows`, without the plain land."""
-    for block, first, last in _portions(mesh):
-        yield block, last - first
+def _corner_blocks(mesh: BodyMesh) -> Iterator[Floats]:
+    """Yield the blocks of `BodyMesh.rows`."""
+    for block, first, last in portions(mesh):
+        yield block.corners(first, last)
+    if len(mesh.plain.triangles):
+        yield mesh.plain.corners
 
 
 def facet_tags(mesh: BodyMesh) -> Iterator[tuple[NDArray[np.uint8], Ints]]:
     """Yield (kind (k,), cell (k, 2)) of the triangles of each block of `rows`; plain land has cell −2³¹.
 
-    Kinds are FRONT, FRONT_LAND, BACK, BACK_LAND and WALL of `clacad.mesh.cell_template`; optical are
-    FRONT
+    Kinds are FRONT, FRONT_LAND, BACK, BACK_LAND and WALL of `clacad.mesh.cell_template`; optical are FRONT
     and BACK, of the body's front and back face.
     """
-    for block, first, last in _portions(mesh):
-        cells = block.cells[first:last]
-        kind = np.tile(block.template.kind, len(cells))
-        yield kind, np.repeat(cells, len(block.template.triangles), axis=0)
+    for block, first, last in portions(mesh):
+        yield block.tags(first, last)
     if len(mesh.plain.triangles):
         yield mesh.plain.kind, np.full((len(mesh.plain.triangles), 2), -(2**31), dtype=np.int64)
 
@@ -397,6 +359,14 @@ def to_trimesh(mesh: Mesh | BodyMesh) -> Trimesh:
     ------
     MemoryError
         The expanded mesh does not fit the memory; `Mesh.part` selects some of its cells.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> window = clacad.prescribe(design)
+    >>> clacad.to_trimesh(clacad.tessellate(window, quads=4)).is_watertight
+    True
     """
     from trimesh import Trimesh
 
@@ -421,7 +391,7 @@ def _distinct_rows(count: int, full: bool) -> list[tuple[int, int]]:
 
 def _weld(key: Ints, position: Floats, triangles: Ints) -> tuple[Floats, Ints]:
     """Merge vertices with equal keys."""
-    packed = unique_rows(key)[1]
+    packed = number_rows(key)
     first = np.zeros(int(packed.max()) + 1, dtype=np.int64)
     first[packed[::-1]] = np.arange(len(packed))[::-1]
     return position[first], packed[triangles]

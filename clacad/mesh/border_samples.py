@@ -31,12 +31,9 @@ if TYPE_CHECKING:
 class BorderSamples:
     """Points of the two cells along a border, and their levels.
 
-    t : (n,)
-        Parameters of the samples, 0 and 1 included.
-    grid_at : (quads + 1,)
-        Indices of the samples that are points of the regular grid.
-    levels : (n, 4)
-        Left front, left back, right front, right back.
+    t : (n,). Parameters of the samples, 0 and 1 included.
+    grid_at : (quads + 1,). Indices of the samples that are points of the regular grid.
+    levels : (n, 4). Left front, left back, right front, right back.
     """
 
     t: Floats
@@ -99,6 +96,16 @@ def _border_samples(make: CellLevels, k: int, quads: int) -> BorderSamples:
     return BorderSamples(t, grid_at, rows)
 
 
+def regular_samples(make: CellLevels, steps: Steps) -> list[BorderSamples]:
+    """Samples of the grid alone on each border class; without levels."""
+    found = []
+    for k in range(len(make.tiling.borders)):
+        quads = 1 if _seamed(make) else steps[(k + 1) % 2]
+        t, grid_at = pl.place(np.empty(0), quads, 0.0)
+        found.append(BorderSamples(t, grid_at, np.zeros((len(t), 4), dtype=np.int64)))
+    return found
+
+
 def _seamed(make: CellLevels) -> bool:
     """Whether land lies between the cells: their borders then need no points but corners."""
     return make.window.land.seam > 0.0
@@ -119,11 +126,19 @@ def _least(make: CellLevels, start: tuple[float, float], end: tuple[float, float
     return float(np.clip(shortest(make) / length, 1e-6, 0.05 / quads))
 
 
-def settle_inside(make: CellLevels, lens: Ints) -> Ints:
-    """Merge levels closer than the gap at every point separately."""
-    held = np.array([make.held[0], make.held[1], True, True])
-    both = np.concatenate([lens, np.broadcast_to(np.array(make.land), lens.shape)], axis=1)
-    return cluster(both, held, make.gap)[:, :2]
+def settle(make: CellLevels, levels: Ints) -> Ints:
+    """Merge levels (..., c) closer than the gap, with those of the land, at every point separately.
+
+    Front and back of one or more columns follow one another.
+    """
+    count = levels.shape[-1]
+    held = np.array([*make.held * (count // 2), True, True])
+    both = np.concatenate([levels, np.broadcast_to(np.array(make.land), (*levels.shape[:-1], 2))], axis=-1)
+    both = both.reshape(-1, count + 2)
+    apart = np.diff(np.sort(both, axis=1), axis=1)
+    near = np.flatnonzero(((apart > 0) & (apart <= make.gap)).any(axis=1))
+    both[near] = cluster(both[near], held, make.gap)
+    return both[:, :count].reshape(levels.shape)
 
 
 def settle_sides(plan: pl.Planar, lens: Ints, borders: list[BorderSamples]) -> Ints:
@@ -158,14 +173,14 @@ def _parted(
 
     Between the ends of the stretch the upper column moves up by the merge height, a few z steps.
     """
-    touch = _touching(rows)
+    touch = touching(rows)
     alone = touch[:-1] & touch[1:]
     alone[1:] &= ~touch[:-2]
     alone[:-1] &= ~touch[2:]
     if alone.any():  # two samples without one between them that could be moved
         t = np.sort(np.concatenate([t, 0.5 * (t[:-1] + t[1:])[alone]]))
         rows = _border_levels(make, k, t, groups, ends)
-        touch = _touching(rows)
+        touch = touching(rows)
     inside = np.flatnonzero(touch[1:-1] & touch[:-2] & touch[2:]) + 1
     rows = rows.copy()
     for n in inside.tolist():
@@ -176,10 +191,11 @@ def _parted(
     return t, rows
 
 
-def _touching(rows: Ints) -> Bools:
-    """Whether both columns exist and share a level but no material."""
-    there = (rows[:, 0] <= rows[:, 1]) & (rows[:, 2] <= rows[:, 3]) & (np.abs(rows) < FAR).all(axis=1)
-    shared = np.minimum(rows[:, 1], rows[:, 3]) - np.maximum(rows[:, 0], rows[:, 2])
+def touching(rows: Ints) -> Bools:
+    """Whether both columns (..., 4) exist and share a level but no material."""
+    left_front, left_back, right_front, right_back = np.moveaxis(rows, -1, 0)
+    there = (left_front <= left_back) & (right_front <= right_back) & (np.abs(rows) < FAR).all(axis=-1)
+    shared = np.minimum(left_back, right_back) - np.maximum(left_front, right_front)
     return np.asarray(there & (shared == 0))
 
 
@@ -244,10 +260,8 @@ class LowCorner:
 
     points : (n,)
         Footprint points on its two legs: from the end of one, over the corner, to the end of the other.
-    levels : (n,)
-        Levels to which they are raised.
-    ends : (first, corner, last)
-        The three corners of the triangle.
+    levels : (n,). Levels to which they are raised.
+    ends : (first, corner, last). The three corners of the triangle.
     """
 
     side: int
@@ -259,10 +273,7 @@ class LowCorner:
 def check_width(make: CellLevels, width: float) -> None:
     """Refuse a bevel width that no mesh of this sheet can have.
 
-    Raises
-    ------
-    CannotBuild
-        With the least and the largest width, in design units.
+    Raises CannotBuild: With the least and the largest width, in design units.
     """
     least, most = 4.0 * shortest(make), WIDEST * min(make.window.lattice.pitch)
     if not least <= width <= most:
@@ -299,13 +310,12 @@ def bevelled(
     lifted : (m, 2, 3) int64
         Level of front and back at each triangle's corners where it is raised, NONE elsewhere.
     """
-    land = make.land
     found = [corner for side in (0, 1) for corner in _corners(make, plan, lens, part, side_t, side)]
     for corner in found:
         plan, lens, part = _cut(make, plan, lens, part, corner)
     lifted = np.full((len(plan.triangles), 2, 3), NONE, dtype=np.int64)
     for corner in found:
-        _lift(plan, lens, land, part, corner, lifted)
+        _lift(make, plan, lens, part, corner, lifted)
     return plan, lens, part, lifted
 
 
@@ -316,12 +326,12 @@ def added_volume(plan: pl.Planar, before: Ints, after: Ints, step: float) -> flo
     return float(np.sum(area * grown.mean(axis=1)) * step)
 
 
-def _outer(lens: Ints, land: tuple[int, int], side: int, points: Ints) -> Ints:
+def _outer(make: CellLevels, lens: Ints, side: int, points: Ints) -> Ints:
     """Level of the outermost of lens and land at points."""
-    if land[side] in (NONE, -NONE):
+    land = make.land[side]
+    if land in (NONE, -NONE):
         return np.asarray(lens[points, side])
-    outermost = np.maximum if side else np.minimum
-    return np.asarray(outermost(lens[points, side], land[side]))
+    return np.asarray(make.outermost[side](lens[points, side], land))
 
 
 def _corners(
@@ -337,7 +347,7 @@ def _corners(
         points = np.array([plan.sides[c][0] for c in corners])
         if len(corners) != 4 or not all(_solid(plan, part, p) for p in points.tolist()):
             continue
-        z = out * _outer(lens, make.land, side, points)
+        z = out * _outer(make, lens, side, points)
         if min(z[0], z[2]) > max(z[1], z[3]):
             low, top = (1, 3), min(z[0], z[2])
         elif min(z[1], z[3]) > max(z[0], z[2]):
@@ -364,7 +374,7 @@ def _corner(
         own, other = own[::towards], other[::towards]
         ends = make.tiling.tile[k], make.tiling.tile[(k + 1) % m]
         last = int(np.argmin(np.abs(t - make.bevel / float(np.hypot(*(ends[1] - ends[0]))))))
-        here, there = (_outer(lens, make.land, side, points[: last + 1]) for points in (own, other))
+        here, there = (_outer(make, lens, side, points[: last + 1]) for points in (own, other))
         behind = np.flatnonzero((there <= here if side else there >= here)[1:]) + 1
         last = max(1, min([last, *behind.tolist()]))
         raised = np.maximum(here, there) if side else np.minimum(here, there)
@@ -408,18 +418,13 @@ def _cut(
     tags = np.concatenate([plan.zone[:, None].astype(np.uint8), part], axis=1)
     triangles, tags = pl.split(plan.triangles, tags, every, number, middle)
     fixed = np.concatenate([plan.fixed, np.ones(len(xy), dtype=bool)])
-    new = settle_inside(make, make.levels(make.heights(xy)))
+    new = settle(make, make.levels(make.heights(xy)))
     plan = replace(plan, xy=every, triangles=triangles, zone=tags[:, 0].astype(bool), fixed=fixed)
     return plan, np.concatenate([lens, new]), np.ascontiguousarray(tags[:, 1:])
 
 
 def _lift(
-    plan: pl.Planar,
-    lens: Ints,
-    land: tuple[int, int],
-    part: NDArray[np.uint8],
-    corner: LowCorner,
-    lifted: Ints,
+    make: CellLevels, plan: pl.Planar, lens: Ints, part: NDArray[np.uint8], corner: LowCorner, lifted: Ints
 ) -> None:
     """Write the raised levels of a bevel's triangles."""
     side = corner.side
@@ -431,7 +436,7 @@ def _lift(
     a, c, b = (np.append(plan.xy[point], place[point]) for point in corner.ends)
     normal = np.cross(a - c, b - c)
     flat: Floats = c[2] - ((plan.xy[points] - c[:2]) @ normal[:2]) / normal[2]
-    own = _outer(lens, land, side, points)
+    own = _outer(make, lens, side, points)
     level = (np.maximum if side else np.minimum)(np.rint(flat).astype(np.int64), own)
     raised = dict(zip(points.tolist(), level.tolist())) | place
     lifted[rows, side] = [[raised[point] for point in corners] for corners in plan.triangles[rows].tolist()]

@@ -36,17 +36,13 @@ FRONT, FRONT_LAND, BACK, BACK_LAND, WALL = 0, 1, 2, 3, 4  # kinds of triangle
 class Template:
     """The triangles owned by one cell, with vertices that cells share.
 
-    owner : (v, 2) int64
-        Index step to the cell in whose frame the vertex has its canonical coordinates.
-    point : (v,) int64
-        Canonical footprint point.
+    owner : (v, 2) int64. Index step to the cell in whose frame the vertex has its canonical coordinates.
+    point : (v,) int64. Canonical footprint point.
     level : (v,) int64
-    xy : (v, 2) lengths
-        In the owner's cell frame.
+    xy : (v, 2) lengths. In the owner's cell frame.
     z : (v,) lengths
     triangles : (t, 3)
-    kind : (t,) uint8
-        FRONT, FRONT_LAND, BACK, BACK_LAND or WALL.
+    kind : (t,) uint8. FRONT, FRONT_LAND, BACK, BACK_LAND or WALL.
     """
 
     owner: Ints
@@ -82,13 +78,8 @@ cell.
 class TemplateMaker:
     """Makes and caches the templates of one prototile.
 
-    Parameters
-    ----------
-    tile : Prototile
-    lattice : Lattice
-        Pattern of the cells.
-    others : callable or None
-        Index step → the maker of that neighbour, in a non-uniform sheet; None for a uniform one.
+    lattice : Pattern of the cells.
+    others : Index step → the maker of that neighbour, in a non-uniform sheet; None for a uniform one.
     """
 
     tile: Prototile
@@ -103,9 +94,9 @@ class TemplateMaker:
         self._apart = bool((np.abs(self.tile.land) == FAR).any())
         self.places = self._canonical()
         self.xy = _in_owner(self)
-        self._caps = _make_caps(self)
-        self._inner = _inner_walls(self.tile.plan.triangles, self._levels)
-        ends = {point for wall in self._inner for point in wall[:2]}
+        self.caps = _make_caps(self)
+        self.inner = _inner_walls(self.tile.plan.triangles, self._levels)
+        ends = {point for wall in self.inner for point in wall[:2]}
         self._join_edges(ends)
         self._spokes: dict[int, list[tuple[int, int]]] = {point: [] for point in ends}
         for edge in self._left:
@@ -242,7 +233,7 @@ class TemplateMaker:
     def _make(self, states: dict[Offset, int], code: bytes) -> Template:
         """The template of a cell: its caps and walls, with the vertices they use and no others."""
         walls = self._walls(states, code)
-        point, level, caps, kinds = self._caps
+        point, level, caps, kinds = self.caps
         walled = np.zeros(len(self.tile.plan.xy), dtype=bool)
         walled[[vertex[0] for triangle in walls for vertex in triangle]] = True
         shared = np.flatnonzero(walled[point])
@@ -275,7 +266,7 @@ class TemplateMaker:
     def _walls(self, states: dict[Offset, int], code: bytes) -> list[tuple[tuple[int, int], ...]]:
         found: list[tuple[tuple[int, int], ...]] = []
         zero = (0, 0)
-        for p, q, left, right in self._inner:
+        for p, q, left, right in self.inner:
             found += strip(
                 p,
                 q,

@@ -35,11 +35,9 @@ class Planar:
 
     xy : (n, 2) lengths, cell frame
     triangles : (m, 3)
-    zone : (m,) bool
-        Whether the triangle lies in the optical zone.
+    zone : (m,) bool. Whether the triangle lies in the optical zone.
     sides : m arrays of point numbers
-    fixed : (n,) bool
-        Points that must not move (on the tile's or the zone's border).
+    fixed : (n,) bool. Points that must not move (on the tile's or the zone's border).
     """
 
     xy: Floats
@@ -52,15 +50,11 @@ class Planar:
 def grid(lattice: Lattice, tile: Floats, zone: Floats, steps: tuple[int, int], diagonal: int) -> Planar:
     """Triangulate a tile: a regular grid over its optical zone, and a ring of land if the zone is smaller.
 
-    Parameters
-    ----------
-    lattice : Lattice
     tile, zone : (m, 2) lengths
         Corners of the cell and of its optical zone (equal polygons if there is no seam).
     steps : (int, int)
         Grid steps along both half axes of a rectangle; a hexagon has that number along each side.
-    diagonal : +1 or −1
-        Squares are split along (+x, +y) or along (+x, −y); no effect on hexagons.
+    diagonal : +1 or −1. Squares are split along (+x, +y) or along (+x, −y); no effect on hexagons.
     """
     xy, triangles, sides = _hexagon(zone, steps[0]) if lattice.hexagonal else _square(zone, steps, diagonal)
     fixed = np.zeros(len(xy), dtype=bool)
@@ -173,10 +167,7 @@ def space(breaks: Floats, least: float) -> list[Floats]:
 def with_side_samples(planar: Planar, tile: Floats, samples: list[tuple[Floats, Floats]]) -> Planar:
     """Move and add points on the tile's sides.
 
-    Parameters
-    ----------
-    samples : m pairs (samples, grid_at)
-        Result of `place`, along each side.
+    samples : m pairs (samples, grid_at). Result of `place`, along each side.
     """
     xy = planar.xy.copy()
     triangles: list[list[int]] = []
@@ -298,10 +289,7 @@ Vertex = tuple[int, int]  # point of the footprint, level
 class Ring:
     """The columns around one point of the footprint, counter-clockwise.
 
-    Parameters
-    ----------
-    wedges : sequence of (tag, column)
-        Tags name the wedges; two walls of different cells agree on them.
+    wedges : sequence of (tag, column). Tags name the wedges; two walls of different cells agree on them.
     """
 
     __slots__ = ("columns", "levels", "place")
@@ -340,13 +328,9 @@ def strip(
 ) -> list[tuple[Vertex, Vertex, Vertex]]:
     """Wall triangles over the footprint edge p → q.
 
-    Parameters
-    ----------
-    p, q : int
-        Points of the footprint; the left column lies on the left of p → q.
+    p, q : Points of the footprint; the left column lies on the left of p → q.
     left, right : (column at p, column at q)
-    tags : (left, right)
-        The wedges' tags in both rings.
+    tags : (left, right). The wedges' tags in both rings.
     rings : (ring at p, ring at q)
 
     Returns triangles of vertices (point, level), outward.

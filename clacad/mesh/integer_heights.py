@@ -18,9 +18,10 @@ import numpy as np
 
 from clacad.base.arrays import distinct
 from clacad.base.types import Bools, Floats, Ints
-from clacad.optics.surface import Biconic, Quadric, as_quadric, sag
+from clacad.optics.surface import Quadric, sag, simplest
+from clacad.optics.surface.intersection import meet
 from clacad.sheet.pattern import Step
-from clacad.sheet.window import Body, Face, Surface, Window, lens_height
+from clacad.sheet.window import Body, Face, Window, lens_height
 from clacad.topology.borders import roots_between
 from clacad.topology.complex_parts import CellComplex, Tiling, linked
 
@@ -53,12 +54,8 @@ def merge_steps(merge: float | None, step: float) -> int:
 def cluster(levels: Ints, fixed: Bools, gap: int) -> Ints:
     """Single linkage along each row: levels whose sorted gaps are at most `gap` become one.
 
-    Parameters
-    ----------
-    levels : (n, c) int64
-        Values of magnitude FAR and beyond are unchanged.
-    fixed : (c,) bool
-        Columns whose level a cluster adopts (land, plane faces); else it adopts its middle.
+    levels : (n, c) int64. Values of magnitude FAR and beyond are unchanged.
+    fixed : (c,) bool. Columns whose level a cluster adopts (land, plane faces); else it adopts its middle.
     """
     order = np.argsort(levels, axis=1, kind="stable")
     z = np.take_along_axis(levels, order, axis=1)
@@ -94,6 +91,8 @@ class CellLevels:
         The cell, if each is a separate piece.
     others : callable or None
         Index → heights of that cell; None: all cells are identical pieces.
+    sheet : CellLevels or None
+        Heights of all cells, if this is one of them.
     joined : tuple of CellLevels
         The other bodies of the plate on the same cells, with which grid and samples of borders are shared.
     known, common : dict
@@ -110,19 +109,19 @@ class CellLevels:
     index: Step = (0, 0)
     others: Callable[[Step], CellLevels] | None = None
     joined: tuple[CellLevels, ...] = ()
+    sheet: CellLevels | None = None
     known: dict[Any, Any] = field(default_factory=dict, repr=False)
     common: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     def of_cell(self, index: Step, others: Callable[[Step], CellLevels]) -> CellLevels:
         """The levels of the cell at `index`, with its own lenses; `others` returns its neighbours' levels."""
         at = np.array(index)
-        faces = [self.window.in_cell(face, at) for face in (self.body.front, self.body.back)]
-        front, back = (replace(face, surface=_simplest(face.surface)) for face in faces)
+        front, back = (self.window.in_cell(face, at).simplified for face in self.faces)
         body = replace(self.body, front=front, back=back)
         joined = tuple(
             one.of_cell(index, partial(_joined_at, others, number)) for number, one in enumerate(self.joined)
         )
-        return replace(self, body=body, index=index, others=others, joined=joined, known={})
+        return replace(self, body=body, index=index, others=others, joined=joined, sheet=self, known={})
 
     def beside(self, step: Step) -> CellLevels:
         """The levels of the cell at an index step from this one, kept or not."""
@@ -166,17 +165,35 @@ class CellLevels:
 
         ±inf for a separately meshed face.
         """
+        if self.sheet is not None and self.window.many_sizes:
+            return np.asarray(self.sheet.heights_of(np.array([self.index]), xy)[0])
         out = np.empty((len(xy), 2))
-        for n, (face, here) in enumerate(zip((self.body.front, self.body.back), self.meshed())):
+        for n, (face, here) in enumerate(zip(self.faces, self.meshed())):
             if not here:
                 out[:, n] = (-np.inf, np.inf)[n]
             elif face.array is None:
                 out[:, n] = face.vertex[2]
-            elif self.others is not None and face.untilted and not isinstance(face.surface, Quadric):
-                x, y, z = face.vertex  # upright: its sag needs no ray
-                out[:, n] = z + sag(face.surface, xy[:, 0] - x, xy[:, 1] - y)
+            elif self.sheet is not None:
+                x, y, z = face.vertex
+                out[:, n] = z + _over_apex(face, xy[:, 0] - x, xy[:, 1] - y)
             else:
                 out[:, n] = lens_height(face, xy[:, 0], xy[:, 1])
+        return out
+
+    def heights_of(self, cells: Ints, xy: Floats) -> Floats:
+        """Heights (c, n, 2) as of `heights` in cells (c, 2) of a non-uniform sheet."""
+        out = np.empty((len(cells), len(xy), 2))
+        for n, (face, here) in enumerate(zip(self.faces, self.meshed())):
+            if not here:
+                out[..., n] = (-np.inf, np.inf)[n]
+            elif face.array is None:
+                out[..., n] = face.vertex[2]
+            else:
+                own = cells[:, None] if face.change is not None else np.zeros((1, 1, 2), dtype=np.int64)
+                places = self.window.lenses(face, own)
+                x, y, z = places.apex
+                size = 1.0 if places.size is None else places.size
+                out[..., n] = z + size * _over_apex(face, (xy[:, 0] - x) / size, (xy[:, 1] - y) / size)
         return out
 
     def levels(self, heights: Floats) -> Ints:
@@ -196,24 +213,37 @@ class CellLevels:
         return (out[0] if front else -FAR, out[1] if back else FAR)
 
     @property
+    def outermost(self) -> tuple[Callable[..., Any], Callable[..., Any]]:
+        """For front and back, which of lens and land protrudes: the lower or the higher one."""
+        front, back = (np.minimum if face.land_side > 0 else np.maximum for face in self.faces)
+        return front, back
+
+    @property
     def held(self) -> tuple[bool, bool]:
         """Whether front and back are plane faces, whose level is never changed."""
         return self.body.front.array is None, self.body.back.array is None
 
 
+def _over_apex(face: Face, x: Floats, y: Floats) -> Floats:
+    """Height of a lens above its apex over points (...) relative to it; equal points give equal bits."""
+    surface = simplest(face.surface)
+    if face.untilted and not isinstance(surface, Quadric):
+        return sag(surface, x, y)  # upright: its sag needs no ray
+    if face.untilted:
+        alone = replace(face, surface=surface, vertex=(0.0, 0.0, 0.0))
+        return lens_height(alone, x.ravel(), y.ravel()).reshape(x.shape)
+    start = np.stack([x * across + y * along for across, along in face.rotation[:2].T], axis=-1).reshape(
+        -1, 3
+    )
+    met = meet(surface, start, np.broadcast_to(face.rotation[2], start.shape).copy())
+    with np.errstate(invalid="ignore"):
+        above = (met.gradient * face.rotation[2]).sum(axis=-1) > 0.0
+    return np.where(above & np.isfinite(met.distance), met.distance, np.nan).reshape(x.shape)
+
+
 def _joined_at(others: Callable[[Step], CellLevels], number: int, step: Step) -> CellLevels:
     """Levels of joined body `number` in another cell."""
     return others(step).joined[number]
-
-
-def _simplest(surface: Surface) -> Surface:
-    """The quadric with the same points, if one exists: its heights need no iteration."""
-    if not isinstance(surface, Biconic):
-        return surface
-    try:
-        return as_quadric(surface)
-    except ValueError:
-        return surface
 
 
 def shortest(make: CellLevels) -> float:

@@ -21,7 +21,7 @@ from clacad.sheet.window import Body, Window
 from clacad.topology.complex_parts import CannotBuild
 
 if TYPE_CHECKING:
-    from clacad.mesh.own_cells import OwnTemplates
+    from clacad.mesh.cell_batch import OwnMeshCells
 
 
 JUDGED = 16
@@ -34,30 +34,40 @@ lenses.
 class Tiled:
     """One tiling of a body: its templates and their positions.
 
-    maker : TemplateMaker
-        Of all cells; in a non-uniform sheet of the first cell.
+    maker : Of all cells; in a non-uniform sheet of the first cell.
     shift : (2,) lengths
-    lattice : Lattice
-        Pattern of the tiling's cells about their own middle.
-    own : OwnTemplates or None
-        Set if every cell is a separate piece.
+    lattice : Pattern of the tiling's cells about their own middle.
+    own : Set if every cell is a separate piece.
     """
 
     maker: TemplateMaker
     shift: tuple[float, float]
     lattice: Lattice
-    own: OwnTemplates | None = None
+    own: OwnMeshCells | None = None
 
-    def maker_at(self, i: int, j: int) -> TemplateMaker:
-        """The maker of the kept cell (i, j)."""
-        return self.maker if self.own is None else self.own.at((i, j))
+    def border_levels(self, segments: list[tuple[int, int, int, int]], face: int) -> list[tuple[int, int]]:
+        """Levels of one face at both ends of segments: cell i, j, side and number of the segment."""
+        if self.own is None:
+            return [self.maker.border_levels(k, n, face) for _, _, k, n in segments]
+        return self.own.border_levels(np.array(segments, dtype=np.int64).reshape(-1, 4), face)
+
+    def edge_makers(self, edge: list[tuple[int, int, int]]) -> dict[Offset, TemplateMaker]:
+        """Makers of the cells (i, j) of sides (i, j, k), to read the points of their sides from."""
+        cells = sorted({(i, j) for i, j, _ in edge}, key=lambda at: at[::-1])
+        if self.own is None or not cells:
+            return dict.fromkeys(cells, self.maker)
+        regular = self.own.as_regular(np.array(cells, dtype=np.int64)).tolist()
+        return {
+            (i, j): self.own.regular.maker if same else self.own.rare.at((i, j))
+            for (i, j), same in zip(cells, regular, strict=True)
+        }
 
     def judged(self, window: Window, body: Body) -> list[tuple[TemplateMaker, Body]]:
         """Makers of representative cells for facet errors, each with the body of its uniform equivalent."""
         if self.own is None:
             return [(self.maker, body)]
         cells = representative_cells(window, "facets", JUDGED)
-        return [(self.own.at((i, j)), self.own.body_at((i, j))) for i, j in cells.tolist()]
+        return [(self.own.rare.at((i, j)), self.own.rare.body_at((i, j))) for i, j in cells.tolist()]
 
 
 Key = tuple[int, int, int]  # owner cell i, j and canonical point; outline corners are (−1, n, −1)
@@ -115,21 +125,17 @@ def row_states(
 ) -> Bytes:
     """States of the neighbours of each kept cell of a row, (n, len(offsets)): NOTHING, CELL or PLAIN.
 
-    ringed : bool
-        Whether there is land out to the window's outline.
-    places : Lattice
-        Pattern of the cells about their own middle.
-    shift : (2,) lengths
-        Displacement of the cells against the centre of the outline.
+    ringed : Whether there is land out to the window's outline.
+    places : Pattern of the cells about their own middle.
+    shift : (2,) lengths. Displacement of the cells against the centre of the outline.
     """
-    states = np.full((len(row), len(offsets)), NOTHING, dtype=np.uint8)
-    for n, step in enumerate(offsets):
-        there = row + np.array(step)
-        kept = window.lattice.contains(there)
-        states[kept, n] = CELL
-        if ringed and not kept.all():
-            absent = np.flatnonzero(~kept)
-            states[absent[_reaches_inside(window, there[absent], places, shift)], n] = PLAIN
+    there = row[:, None] + np.array(offsets)
+    kept = window.lattice.contains(there)
+    states = np.where(kept, CELL, NOTHING).astype(np.uint8)
+    if ringed and not kept.all():
+        absent = np.argwhere(~kept)
+        inside = _reaches_inside(window, there[~kept], places, shift)
+        states[tuple(absent[inside].T)] = PLAIN
     return states
 
 
@@ -145,6 +151,9 @@ def _reaches_inside(
     return np.asarray(((corners.min(axis=1) < half) & (corners.max(axis=1) > -half)).all(axis=1))
 
 
+FEW = 16
+"""Largest number of sides of an outline that cells may touch; the polygon of a circle has more."""
+
 Segment = tuple[int, Key, Key, tuple[int, int, int, int] | None]
 
 
@@ -152,12 +161,10 @@ Segment = tuple[int, Key, Key, tuple[int, int, int, int] | None]
 class LandRing:
     """The ring of land of one tiling.
 
-    keys : list of Key
-        Points of the ring's boundary.
+    keys : Points of the ring's boundary.
     position : key → (x, y), sheet frame (lengths)
         Of all boundary points, including those that are only on the outline.
-    triangles : (t, 3)
-        Indices into `keys`, counter-clockwise from +z.
+    triangles : (t, 3). Indices into `keys`, counter-clockwise from +z.
     rim : list of (outline side, start key, end key, touching cell or None)
         The outline counter-clockwise. A cell that touches it is (i, j, side of its tile, segment).
     """
@@ -191,14 +198,14 @@ def make_land(window: Window, tiled: Tiled, centre: tuple[float, float]) -> Land
     directed: list[tuple[Key, Key]] = []  # land on the left
     touching: dict[tuple[Key, Key], tuple[int, int, int, int]] = {}
     edge = boundary(window.lattice)
-    # separate cells are cached for a few rows
-    by_row = edge if tiled.own is None else sorted(edge, key=lambda at: at[1::-1])
-    points = {at: _side_points(tiled, *at) for at in by_row}
+    makers = tiled.edge_makers(edge)
+    round_ = len(polygon) > FEW
     for i, j, k in edge:
-        keys = list(points[i, j, k])
-        position |= {key: at for key, at in points[i, j, k].items() if key not in position}
+        points = _side_points(tiled, makers[i, j], (i, j, k))
+        keys = list(points)
+        position |= {key: at for key, at in points.items() if key not in position}
         ends = np.array([position[keys[0]], position[keys[-1]]])
-        if not free and len(_on_side(polygon, ends, scale)):
+        if not free and not round_ and len(_on_side(polygon, ends, scale)):
             for n, (a, b) in enumerate(zip(keys[:-1], keys[1:])):
                 touching[a, b] = (i, j, k, n)
         else:
@@ -215,9 +222,11 @@ def make_land(window: Window, tiled: Tiled, centre: tuple[float, float]) -> Land
     return LandRing(keys, position, triangulate_loops(rings, number, position), rim)
 
 
-def _side_points(tiled: Tiled, i: int, j: int, k: int) -> dict[Key, tuple[float, float]]:
+def _side_points(
+    tiled: Tiled, maker: TemplateMaker, at: tuple[int, int, int]
+) -> dict[Key, tuple[float, float]]:
     """Points of side k of cell i, j, keyed by the cell that owns each: x, y on the sheet (lengths)."""
-    maker, shift = tiled.maker_at(i, j), tiled.shift
+    (i, j, k), shift = at, tiled.shift
     side = maker.tile.plan.sides[k]
     owner = maker.places[0][side] + (i, j)
     point = maker.places[1][side].tolist()
@@ -240,6 +249,10 @@ def _on_side(polygon: Floats, points: Floats, scale: float) -> Ints:
 def _refuse_outside(window: Window, points: Floats, polygon: Floats, scale: float) -> None:
     a, b = polygon, np.roll(polygon, -1, axis=0)
     along = (b - a) / np.hypot(*(b - a).T)[:, None]
+    middle = polygon.mean(axis=0)
+    from_middle = a - middle
+    nearest = float((along[:, 1] * from_middle[:, 0] - along[:, 0] * from_middle[:, 1]).min())
+    points = points[np.hypot(*(points - middle).T) > (1.0 - _TOUCH) * nearest]
     for start in range(0, len(points), 4096):
         relative = points[start : start + 4096, None] - a[None]
         across = along[:, 0] * relative[..., 1] - along[:, 1] * relative[..., 0]
@@ -260,13 +273,15 @@ def _rim(
     """Walk the outline counter-clockwise, splitting it at every cell point that lies on it."""
     keys = list(position)
     at = np.array([position[key] for key in keys]).reshape(-1, 2)
+    away = np.hypot(*(polygon - polygon.mean(axis=0)).T).min() - 2.0 * _TOUCH * scale
+    outer = np.flatnonzero(np.hypot(*(at - polygon.mean(axis=0)).T) >= away)  # only these reach a corner
     corner: list[Key] = []
     for n, p in enumerate(polygon):
-        near = np.flatnonzero(np.hypot(*(at - p).T) < _TOUCH * scale) if len(at) else np.empty(0, dtype=int)
+        near = outer[np.hypot(*(at[outer] - p).T) < _TOUCH * scale]
         corner.append(keys[near[0]] if len(near) else (-1, n, -1))
         position.setdefault(corner[-1], (float(p[0]), float(p[1])))
     rim: list[Segment] = []
-    few = len(polygon) <= 16  # a circle's polygon does not touch the cells
+    few = len(polygon) <= FEW
     for n in range(len(polygon)):
         a, b = polygon[n], polygon[(n + 1) % len(polygon)]
         length = float(np.hypot(*(b - a)))

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,8 @@ from clacad.mesh.border_samples import (
     added_volume,
     bevelled,
     check_width,
-    settle_inside,
+    regular_samples,
+    settle,
     settle_sides,
     with_borders,
 )
@@ -42,8 +44,7 @@ _WARP = 0.2  # a cut closer than this share of an edge to a free point moves tha
 class Curve:
     """A curve along which triangles are cut.
 
-    value : levels (n, 2) → (n,)
-        Positive on the side of the lens, zero on the curve; linear in the levels.
+    value : levels (n, 2) → (n,). Positive on the side of the lens, zero on the curve; linear in the levels.
     meet : levels (n, 2), latest face (0 front, 1 back, −1 none) → levels (n, 2)
         Makes the levels equal that meet on the curve; a face that was just placed is unchanged.
     """
@@ -66,7 +67,7 @@ def rim_curve() -> Curve:
 def land_curve(make: CellLevels, side: int) -> Curve:
     """Curve along which the lens of one face meets its land; the lens is proud of it on the positive side."""
     land = make.land[side]
-    sign = 1 if side else -1
+    sign = -make.faces[side].land_side
 
     def meet(levels: Ints, placed: int) -> Ints:
         out = levels.copy()
@@ -274,26 +275,19 @@ def _warp(
 class Prototile:
     """One cell of a body's tiling.
 
-    Attributes
-    ----------
-    plan : Planar
     lens : (n, 2) int64
         Level of front and back lens (or plane) at each point; ±FAR for a separately meshed face.
-    land : (front, back) int
-        Level of the land; ±NONE without land.
+    land : (front, back) int. Level of the land; ±NONE without land.
     part : (m, 2) uint8
         LENS, LAND or VOID: front and back of each triangle. A column is void in both or in neither.
-    plane : (bool, bool)
-        Whether front and back are plane faces that need only their border points.
-    step : length
-        Height of one level.
-    side_t : m arrays
-        Parameters of the points of each side of the tile.
+    plane : (bool, bool). Whether front and back are plane faces that need only their border points.
+    step : length. Height of one level.
+    side_t : m arrays. Parameters of the points of each side of the tile.
     lifted : (m, 2, 3) int64 or None
         Levels of front and back at the corners of triangles that a saddle's bevel raises, NONE elsewhere.
-    on_left : m arrays (n, 2), lengths
-        Points of each side without its ends, in the frame of the border's left cell, in the border's
-        direction.
+    on_left : m arrays (n, 2), lengths. Points of each side without its ends, in the frame of the border's
+        left cell, in the border's direction.
+    outermost : (front, back). Which of lens and land protrudes: `CellLevels.outermost`.
     """
 
     plan: pl.Planar
@@ -305,19 +299,11 @@ class Prototile:
     side_t: tuple[Floats, ...]
     lifted: Ints | None = None
     on_left: tuple[Floats, ...] = ()
+    outermost: tuple[Callable[..., Any], Callable[..., Any]] = (np.minimum, np.maximum)
 
     def corner_levels(self) -> Ints:
         """Front and back level at each triangle's corners, (m, 3, 2); NONE, −NONE where void."""
-        front, back = self.lens[:, 0], self.lens[:, 1]
-        # a column is the outermost of lens and land; a negative thickness, on a coarse grid, becomes 0
-        if abs(self.land[0]) < FAR:
-            front = np.minimum(front, self.land[0])
-        if abs(self.land[1]) < FAR:
-            back = np.maximum(back, self.land[1])
-        thin = (front > back) & (np.abs(front) < FAR) & (np.abs(back) < FAR)
-        middle = np.where(thin, front + back, 0) // 2
-        front, back = np.where(thin, middle, front), np.where(thin, middle, back)
-        lens = np.stack([front, back], axis=-1)[self.plan.triangles]
+        lens = outermost(self.lens, self.land, self.outermost)[self.plan.triangles]
         land = np.array(self.land)
         none = np.array([NONE, -NONE])
         part = self.part[:, None, :]
@@ -342,20 +328,54 @@ class Prototile:
         )
 
 
+def outermost(
+    lens: Ints, land: tuple[int, int], protruding: tuple[Callable[..., Any], Callable[..., Any]]
+) -> Ints:
+    """Levels (..., 2) of columns: the outermost of lens and land; `protruding` as `CellLevels.outermost`.
+
+    A negative thickness, on a coarse grid, becomes 0.
+    """
+    front, back = lens[..., 0], lens[..., 1]
+    if abs(land[0]) < FAR:
+        front = protruding[0](front, land[0])
+    if abs(land[1]) < FAR:
+        back = protruding[1](back, land[1])
+    thin = (front > back) & (np.abs(front) < FAR) & (np.abs(back) < FAR)
+    middle = np.where(thin, front + back, 0) // 2
+    return np.stack([np.where(thin, middle, front), np.where(thin, middle, back)], axis=-1)
+
+
+def regular_prototile(make: CellLevels, quads: int, levels: tuple[int, int]) -> Prototile:
+    """A cell whose borders have the samples of the grid and whose lenses, at two levels, cover its zone."""
+    steps = _steps(make, quads)
+    plan, borders = _grid(make, steps), regular_samples(make, steps)
+    side_t = [border.t for border in borders]
+    side_t += [1.0 - t[::-1] for t in side_t]
+    if make.window.land.seam == 0.0:
+        plan = pl.with_side_samples(plan, make.tiling.tile, [(t, t) for t in side_t])
+    lens = np.empty((len(plan.xy), 2), dtype=np.int64)
+    for side, face in enumerate(make.faces):
+        flat = int(make.levels(np.full(2, face.vertex[2]))[side])
+        lens[:, side] = (
+            (FAR * (2 * side - 1)) if not make.meshed()[side] else flat if make.held[side] else levels[side]
+        )
+    part = _parts(make, plan.zone, [plan.zone, plan.zone])
+    plane = (make.held[0] and bool(plan.zone.all()), make.held[1] and bool(plan.zone.all()))
+    on_left = _on_left(make, [*borders, *borders])
+    return Prototile(plan, lens, make.land, part, plane, make.step, tuple(side_t), None, on_left)
+
+
 def make_prototile(make: CellLevels, quads: int) -> Prototile:
     """Mesh one cell of a body's tiling, with `quads` grid steps along each side of its optical zone that
     bends.
 
-    Raises
-    ------
-    CannotBuild, ValueError
-        No point of the grid lies on the lenslet; a lenslet's surface ends inside the cell (its equator),
-        leaving a face with no defined edge.
+    Raises CannotBuild, ValueError: No point of the grid lies on the lenslet; a lenslet's surface ends inside
+        the cell (its equator), leaving a face with no defined edge.
     """
     window = make.window
     steps = _steps(make, quads)
     plan, side_t, borders = with_borders(make, _grid(make, steps), steps)
-    lens = settle_sides(plan, settle_inside(make, make.levels(make.heights(plan.xy))), borders)
+    lens = settle_sides(plan, settle(make, make.levels(make.heights(plan.xy))), borders)
     plan, lens, part = _with_rims(make, plan, lens)
     if (part == VOID).all():
         raise CannotBuild(
@@ -369,9 +389,8 @@ def make_prototile(make: CellLevels, quads: int) -> Prototile:
         check_width(make, make.bevel)
         plan, lens, part, lifted = bevelled(make, plan, lens, part, side_t)
     plane = (make.held[0] and whole, make.held[1] and whole)
-    return Prototile(
-        plan, lens, make.land, part, plane, make.step, tuple(side_t), lifted, _on_left(make, borders)
-    )
+    sides, on_left = tuple(side_t), _on_left(make, borders)
+    return Prototile(plan, lens, make.land, part, plane, make.step, sides, lifted, on_left, make.outermost)
 
 
 def _on_left(make: CellLevels, borders: list[BorderSamples]) -> tuple[Floats, ...]:

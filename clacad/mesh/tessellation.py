@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.base.vectors import doubled_normals
-from clacad.mesh.body_mesh import BodyMesh, Mesh, Plain, block_parts, no_plain
+from clacad.mesh.body_mesh import BodyMesh, Mesh, Plain, no_plain, portions
+from clacad.mesh.cell_blocks import OwnBlock
 from clacad.mesh.cell_template import BACK, BACK_LAND, FRONT, FRONT_LAND, WALL, Template, TemplateMaker
-from clacad.mesh.facet_error import facet_errors
+from clacad.mesh.health import facet_errors
 from clacad.mesh.integer_heights import NONE, CellLevels, merge_steps, z_step
 from clacad.mesh.land_ring import Key, LandRing, Tiled, make_land
 from clacad.mesh.prototile import make_prototile
@@ -65,10 +66,7 @@ class _Builder:
 def make_plain(window: Window, tiled: tuple[Tiled, ...], step: float) -> Plain:
     """Build the land out to the window's outline, and the wall along it.
 
-    Raises
-    ------
-    ValueError
-        A cell reaches beyond the outline.
+    Raises ValueError: A cell reaches beyond the outline.
     """
     own = len(tiled) == 1 and not window.one_outline and not isinstance(window.outline, Plate)
     centre = tiled[0].shift if own else (0.0, 0.0)
@@ -124,10 +122,9 @@ def _chain(build: _Builder, land: LandRing, tiled: Tiled, side: int, face: int) 
     chain: list[tuple[float, int]] = []
     segments = [s for s in land.rim if s[0] == side]
     origin = np.array(land.position[segments[0][1]])
+    own = iter(tiled.border_levels([s[3] for s in segments if s[3] is not None], face))
     for _, p, q, cell in segments:
-        levels = (tiled.maker.tile.land[face],) * 2
-        if cell is not None:
-            levels = tiled.maker_at(*cell[:2]).border_levels(cell[2], cell[3], face)
+        levels = (tiled.maker.tile.land[face],) * 2 if cell is None else next(own)
         for key, level in zip((p, q), levels):
             at = land.position[key]
             number = build.vertex(_key(key, face), level, at)
@@ -188,7 +185,9 @@ def tessellate(
     merge: float | None = None,
     saddle_bevel: float = 0.0,
 ) -> Mesh:
-    """Mesh every body of a window, watertight by construction; either `slope_error` or `quads` is given.
+    """Turn the bodies of a window into triangles, watertight by construction.
+
+    Either `slope_error` or `quads` is given.
 
     Parameters
     ----------
@@ -213,6 +212,15 @@ def tessellate(
     ValueError
         Neither or both were given; the slope error would need more than 2048 quads a side; a lenslet's
         surface ends inside its cell; a cell reaches beyond the outline; a bevel is too wide or too narrow.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> window = clacad.prescribe(design)
+    >>> mesh = clacad.tessellate(window, quads=4)
+    >>> mesh
+    Mesh('slab', 4 quads a cell side, 672 facets)
     """
     need_window(window, "tessellate", ", quads=16")
     if saddle_bevel > 0.0:
@@ -271,13 +279,12 @@ class _Parts:
         mine = [face for face, here in zip(faces, make.meshed()) if here and face.change is not None]
         if not mine:
             return Tiled(TemplateMaker(make_prototile(make, quads), lattice), tiling.shift, lattice)
-        from clacad.mesh.own_cells import OwnTemplates
+        from clacad.mesh.cell_batch import OwnMeshCells
 
-        own = OwnTemplates(make, quads)
-        i, j = next(
-            row[0] for n in range(self.window.lattice.count[1]) if len(row := self.window.lattice.row(n))
-        ).tolist()
-        return Tiled(own.at((i, j)), tiling.shift, lattice, own)
+        rows = (self.window.lattice.row(n) for n in range(self.window.lattice.count[1]))
+        i, j = next(row[0] for row in rows if len(row)).tolist()
+        own = OwnMeshCells(make, quads, (i, j))
+        return Tiled(own.rare.at((i, j)), tiling.shift, lattice, own)
 
     def _levels(self, body: Body, cells: CellComplex, tiling: Tiling) -> CellLevels:
         return CellLevels(self.window, body, cells, tiling, self.step, self.gap, self.bevel)
@@ -413,20 +420,65 @@ def template_normals(lattice: Lattice, body: Body, template: Template) -> Floats
     return normals
 
 
-def corner_normals(mesh: BodyMesh) -> Iterator[Floats]:
-    """Yield the outward corner normals (k, 3, 3) of each block of `mesh.rows()`, in the same order."""
+def shaded_portions(mesh: BodyMesh, shaded: bool = True) -> Iterator[tuple[int, Floats, Floats | None]]:
+    """Yield the blocks of `mesh.rows()`: least row of cells, corners and their outward normals (k, 3, 3).
+
+    shaded : Whether normals are wanted; else they are None.
+    """
     known: dict[int, Floats] = {}
-    for block, cells in block_parts(mesh):
-        template, own = block.template, block.tiled.own
-        if own is not None:
-            i, j = block.cells[0].tolist()
-            yield template_normals(block.tiled.lattice, own.body_at((i, j)), template)
+    count, row = len(mesh.plain.triangles), 0
+    for block, first, last in portions(mesh):
+        corners, row = block.corners(first, last), int(block.cells[first:last, 1].min())
+        count += len(corners)
+        if not shaded:
+            yield row, corners, None
             continue
+        if isinstance(block, OwnBlock):
+            yield row, corners, own_normals(mesh, block)
+            continue
+        template = block.template
         if id(template) not in known:
             known[id(template)] = template_normals(block.tiled.lattice, mesh.body, template)
-        yield np.tile(known[id(template)], (cells, 1, 1))
+        yield row, corners, np.tile(known[id(template)], (last - first, 1, 1))
+    mesh.counted[:] = [count]
     if len(mesh.plain.triangles):
-        yield _facet_normals(mesh.plain.corners)
+        yield row, mesh.plain.corners, plain_normals(mesh) if shaded else None
+
+
+def plain_normals(mesh: BodyMesh) -> Floats:
+    """Outward normals (t, 3, 3) at the corners of the land ring and of the wall along the outline."""
+    return _facet_normals(mesh.plain.corners)
+
+
+def shaded_rows(mesh: BodyMesh) -> Iterator[tuple[Floats, Floats]]:
+    """Yield corners and their outward normals (k, 3, 3) of each block of `mesh.rows()`, in the same order."""
+    for _, corners, normals in shaded_portions(mesh):
+        assert normals is not None
+        yield corners, normals
+
+
+def corner_normals(mesh: BodyMesh) -> Iterator[Floats]:
+    """Yield the outward corner normals (k, 3, 3) of each block of `mesh.rows()`, in the same order."""
+    return (normals for _, normals in shaded_rows(mesh))
+
+
+def own_normals(mesh: BodyMesh, block: OwnBlock) -> Floats:
+    """Outward corner normals (t, 3, 3) of a block of cells that differ."""
+    normals = _facet_normals(block.facets)
+    kinds, owners = block.tags(0, len(block.cells))
+    for kind, face, outward in ((FRONT, mesh.body.front, -1.0), (BACK, mesh.body.back, 1.0)):
+        mine = np.flatnonzero(kinds == kind)
+        if face.array is None or not len(mine):
+            continue
+        first, which = block.corner_points(mine)
+        facet, corner = np.divmod(first, 3)
+        cells, points = owners[mine[facet]], block.facets[mine[facet], corner, :2]
+        centres = block.tiled.lattice.centres(cells) + np.array(block.tiled.shift)
+        x, y = mesh.window.lenses(face, cells).seen(*(points - centres).T)
+        exact = lens_height_and_normal(face, x, y)[1][which]
+        exact = outward * exact.reshape(-1, 3, 3)
+        normals[mine] = np.where(np.isnan(exact), normals[mine], exact)
+    return normals
 
 
 def _facet_normals(corners: Floats) -> Floats:

@@ -35,18 +35,14 @@ def equivalent_widths(polygon: ArrayLike) -> Floats:
 def pattern(polygon: ArrayLike, axis: int, frequency: ArrayLike) -> Complex:
     """Amplitude (n,) of the Fraunhofer pattern of a polygon along one axis, 1 in the middle.
 
-    Parameters
-    ----------
     polygon : (m, 2) lengths
     axis : 0 or 1
-    frequency : (n,) 1/length
-        Direction cosine off the middle over the wavelength.
+    frequency : (n,) 1/length. Direction cosine off the middle over the wavelength.
 
     Notes
     -----
     Green's theorem turns ∬ exp(−2πiνx) dA into a sum over the edges, each dy sinc(ν dx) exp(−2πiν x_m)
-    i/(2πν): the
-    exact transform of a piecewise linear projection.
+    i/(2πν): the exact transform of a piecewise linear projection.
     """
     points = _about_middle(polygon)
     nu = np.atleast_1d(np.asarray(frequency, dtype=np.float64))

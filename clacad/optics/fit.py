@@ -42,11 +42,8 @@ Residuals = Callable[[Floats], Floats]
 class AskedLight:
     """Rays and the directions in which they should leave.
 
-    rays : Rays
-    `asked` : (n, 3) unit
-        Requested directions.
-    across : (2, 3)
-        Unit vectors perpendicular to the mean requested direction.
+    `asked` : (n, 3) unit. Requested directions.
+    across : (2, 3). Unit vectors perpendicular to the mean requested direction.
     """
 
     rays: Rays
@@ -74,10 +71,7 @@ def minimise(residuals: Residuals, start: Floats) -> Floats:
     Levenberg–Marquardt with Nielsen's damping, scaled by the largest slopes so far. Slopes are forward
     differences in a fixed order, so the result is reproducible.
 
-    Parameters
-    ----------
-    residuals : callable
-        Unknowns (k,) → residuals (m,), always finite. What it raises ends the search.
+    residuals : Unknowns (k,) → residuals (m,), always finite. What it raises ends the search.
     start : (k,)
 
     Notes

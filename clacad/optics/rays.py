@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from clacad.base.interactive import Tabular, by_axis
 from clacad.base.types import Floats
 
 OneRay = tuple[ArrayLike, ArrayLike]
@@ -92,7 +93,7 @@ class Rays:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TraceResult:
+class TraceResult(Tabular):
     """One row for each launched ray, in the order of launch.
 
     Attributes
@@ -136,6 +137,20 @@ class TraceResult:
         """Number of rays of each fate, by name; every fate is listed and the numbers add up to n."""
         return fate_counts(self.fate)
 
+    def to_columns(self) -> dict[str, Any]:
+        """Columns by name, each (n,): position and direction by axis, fate as a word, cell and order."""
+        names = np.array([fate.name for fate in Fate])
+        return {
+            **by_axis("position", self.position.T),
+            **by_axis("direction", self.direction.T),
+            "fate": names[self.fate],
+            "optical_path": self.optical_path,
+            **by_axis("cell", self.cell.T, "ij"),
+            **by_axis("order", self.order.T, "ij"),
+            "surface": self.surface,
+            "flux": self.flux,
+        }
+
     def rows(self, part: slice) -> TraceResult:
         """Result of some of the rays."""
         of_surfaces = [None if one is None else one[:, part] for one in (self.hits, self.directions)]
@@ -170,10 +185,7 @@ def fate_counts(fates: NDArray[np.uint8]) -> dict[str, int]:
 def as_rays(rays: Rays | OneRay) -> Rays:
     """Return rays unchanged, or the one ray of a pair (origin, direction).
 
-    Raises
-    ------
-    TypeError
-        Neither rays nor a pair of points.
+    Raises TypeError: Neither rays nor a pair of points.
     """
     if isinstance(rays, Rays):
         return rays

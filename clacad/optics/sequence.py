@@ -30,8 +30,7 @@ rounding.
 """
 
 BEHIND = 8 * ULP
-"""Share of a ray's travel by which a surface may seem to lie behind it by rounding, as where two faces
-touch.
+"""Share of a ray's travel by which a surface may seem to lie behind it by rounding, as where two faces touch.
 """
 
 FAR = 1024.0
@@ -101,13 +100,10 @@ class Interface:
 class SurfaceCrossing:
     """Result of one surface for m rays, in sheet axes and relative to its vertex.
 
-    Attributes
-    ----------
     offset, direction : (m, 3) arrays
         Point hit and unit direction after it; the direction before it where the ray ends here.
     distance : (m,) array
-    fate : (m,) uint8 array
-        ALIVE, MISSED, TIR or VIGNETTED.
+    fate : (m,) uint8 array. ALIVE, MISSED, TIR or VIGNETTED.
     """
 
     offset: Floats
@@ -117,7 +113,7 @@ class SurfaceCrossing:
 
 
 def trace_sequence(seq: Sequence[Interface], rays: Rays | OneRay, record: bool = False) -> TraceResult:
-    """Trace rays through surfaces in the given order.
+    """Trace rays through single surfaces in the given order, without a lattice of cells.
 
     Parameters
     ----------
@@ -138,6 +134,14 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays | OneRay, record: bool =
     ------
     ValueError
         The sequence is empty.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> flat = clacad.Quadric(0, 0, 0)
+    >>> plate = [clacad.Interface(flat, (0, 0, 0), 1.0, 1.5), clacad.Interface(flat, (0, 0, 1), 1.5, 1.0)]
+    >>> clacad.trace_sequence(plate, ((0, 0, -1), (0.1, 0, 1)))
+    TraceResult(1 ALIVE)
     """
     rays = as_rays(rays)
     if not (seq := list(seq)):
@@ -175,11 +179,8 @@ def unit_directions(direction: Floats) -> tuple[Floats, Floats]:
 def launch(position: Floats, direction: Floats, vertex: tuple[float, float, float]) -> tuple[Floats, Floats]:
     """Starts relative to the first vertex; far ones are carried to its plane z = 0 without rounding.
 
-    Parameters
-    ----------
     position : (n, 3) array, sheet frame
-    direction : (n, 3) array
-        Of any length, unrounded: the step depends on its ratios alone.
+    direction : (n, 3) array. Of any length, unrounded: the step depends on its ratios alone.
 
     Returns
     -------
@@ -218,12 +219,8 @@ def pass_on(offset: Floats, left: tuple[float, float, float], entered: tuple[flo
 def cross(interface: Interface, offset: Floats, direction: Floats, travelled: Floats) -> SurfaceCrossing:
     """Intersect one interface and refract there.
 
-    Parameters
-    ----------
-    offset, direction : (m, 3) arrays, sheet axes
-        Relative to the interface's vertex; unit directions.
-    travelled : (m,) array
-        Length travelled since the previous surface (the step of `launch`).
+    offset, direction : (m, 3) arrays, sheet axes. Relative to the interface's vertex; unit directions.
+    travelled : (m,) array. Length travelled since the previous surface (the step of `launch`).
     """
     turn = interface.rotation
     start, ray = to_surface(turn, offset), to_surface(turn, direction)
@@ -352,13 +349,9 @@ ones."""
 class Parabasal:
     """Derivatives of surfaces about the axis ray; NaN where one of the rays is not transmitted.
 
-    Attributes
-    ----------
-    direction : (3,) unit
-        Exit direction of the axis ray, sheet frame.
-    cosines, slopes : (2, 2), radians/length
-        Derivatives with respect to the entrance height (columns) of the exit ray's direction cosines and of
-        its slopes (rows), lens frame: zero for an afocal pair.
+    direction : (3,) unit. Exit direction of the axis ray, sheet frame.
+    cosines, slopes : (2, 2), radians/length. Derivatives with respect to the entrance height (columns) of the
+        exit ray's direction cosines and of its slopes (rows), lens frame: zero for an afocal pair.
     """
 
     direction: Floats
@@ -369,15 +362,10 @@ class Parabasal:
 def parabasal(seq: Sequence[Interface], rotation: Floats, point: Floats, size: float) -> Parabasal:
     """Differentiate the real trace about the axis ray.
 
-    Parameters
-    ----------
-    seq : sequence of Interface
     rotation : (3, 3)
         Lens → sheet; its third column is the direction of the axis ray before the first surface.
-    point : (3,) lengths
-        A point of that ray, sheet frame.
-    size : float, length
-        Entrance height of the outer rays, see `STEP`.
+    point : (3,) lengths. A point of that ray, sheet frame.
+    size : length. Entrance height of the outer rays, see `STEP`.
 
     Notes
     -----

@@ -8,6 +8,7 @@ error without limit, as the cube of pitch over separation.
 from __future__ import annotations
 
 from clacad.optimising.aim import Aim, Seen
+from clacad.optimising.face_search import Effort
 from clacad.optimising.search import Optimised, optimise, outlook
 
-__all__ = ["Aim", "Optimised", "Seen", "optimise", "outlook"]
+__all__ = ["Aim", "Effort", "Optimised", "Seen", "optimise", "outlook"]

@@ -27,13 +27,14 @@ from clacad.base.types import Floats
 from clacad.config.value_kinds import shown
 from clacad.design import Design
 from clacad.design.sections import CHECK
-from clacad.light.measure import measure
+from clacad.light.measure import mean_rms, measure
 from clacad.optics.fit import AskedLight, law_residuals
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import trace_sequence
 from clacad.optimising.unknowns import refused
 from clacad.sheet.bundle import RequestedLaw, bundle, cone, launched, middle_direction
-from clacad.sheet.like_cell import interfaces
+from clacad.sheet.face_order import refractions
+from clacad.sheet.like_cell import in_light, interfaces
 from clacad.sheet.representative_cells import central_cell, places_of_errors
 from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
@@ -55,11 +56,14 @@ FEWEST = 4
 SMALLEST = 1e-3
 """Smallest share of a field that is searched for enough light."""
 
+DARKEST = 1e-15
+"""Least rms error (radians) of a line: no division by the error of a line without any."""
+
 LARGEST_PART = 4.0
 """Largest part of the field that may have a weight."""
 
 Weights = tuple[tuple[float, float], ...]
-"""(part of the field, weight) of every cone of rays."""
+"""(part of the field, weight) of every cone of rays; or (wavelength in metres, weight) of every line."""
 
 WHOLE: Weights = ((1.0, 1.0),)
 
@@ -74,11 +78,14 @@ class Aim:
         Cones of rays, and the weight of the square of each cone's error.
     tolerances : bool
         Whether the objective is that of parts as made, with the [tolerances] of the design.
+    spectrum : tuple of (wavelength in metres, weight)
+        Lines whose mean rms error is the objective; empty: the wavelength of the design.
     """
 
     field: float
     weights: Weights = WHOLE
     tolerances: bool = False
+    spectrum: Weights = ()
 
     def __post_init__(self) -> None:
         for part, weight in self.weights:
@@ -101,24 +108,21 @@ class AimedRays:
 
     lights : tuple of (AskedLight, root of its share of the weights)
     errors : tuple of (Parameter, σ, centre (2,) of the cell in which it is evaluated)
-    few : AskedLight
-        Rays for the slopes of tolerances, from the cone of largest weight.
+    few : Rays for the slopes of tolerances, from the cone of largest weight.
+    lines : tuple of (wavelength in metres, share of the weights); empty: the wavelength of the design.
     """
 
     lights: tuple[tuple[AskedLight, float], ...]
     errors: tuple[tuple[Parameter, float, Floats], ...]
     few: AskedLight
+    lines: Weights = ()
 
     @staticmethod
     def of(aim: Aim, design: Design, window: Window, unknowns: int = 1) -> AimedRays:
         """Objective for a design, its built start window and the number of unknowns.
 
-        Raises
-        ------
-        DesignError
-            Of a field too little light reaches its partner cell to fix the unknowns.
-        NoTolerances
-            The design states no tolerances, and parts as made are requested.
+        Raises DesignError: Of a field too little light reaches its partner cell to fix the unknowns.
+        Raises NoTolerances: The design states no tolerances, and parts as made are requested.
         """
         total = sum(weight for _, weight in aim.weights)
         lights = tuple(
@@ -130,13 +134,27 @@ class AimedRays:
         few = replace(
             most, rays=Rays(most.rays.position[::step], most.rays.direction[::step]), asked=most.asked[::step]
         )
-        return AimedRays(lights, tuple(_errors(design, window)) if aim.tolerances else (), few)
+        errors = tuple(_errors(design, window)) if aim.tolerances else ()
+        bright = sum(weight for _, weight in aim.spectrum)
+        return AimedRays(lights, errors, few, tuple((line, part / bright) for line, part in aim.spectrum))
 
     def residuals(self, trial: Window) -> Floats:
-        """Residuals (m,) of a trial, radians: their sum of squares is the expected mean square error."""
-        faces = interfaces(trial)
-        parts = [share * law_residuals(faces, light) for light, share in self.lights]
+        """Residuals (m,) of a trial, radians: their sum of squares is the expected mean square error.
+
+        Of several lines it is the square of their mean rms error.
+        """
+        parts = [self._of_line(trial)]
+        if self.lines:
+            parts = [self._of_line(in_light(trial, line)) for line, _ in self.lines]
+            rms = np.maximum([np.linalg.norm(part) for part in parts], DARKEST)
+            share = np.array([share for _, share in self.lines])
+            parts = [r * part for r, part in zip(np.sqrt(share * (share @ rms) / rms), parts, strict=True)]
         return np.concatenate([*parts, *(self._slope(trial, *error) for error in self.errors)])
+
+    def _of_line(self, trial: Window) -> Floats:
+        """Residuals of the rays of all cones in the light whose indices a trial has."""
+        faces = interfaces(trial)
+        return np.concatenate([share * law_residuals(faces, light) for light, share in self.lights])
 
     def _slope(self, trial: Window, error: Parameter, sigma: float, place: Floats) -> Floats:
         """Half the change of the residuals between an error of +σ and of −σ."""
@@ -172,10 +190,7 @@ def _errors(design: Design, window: Window) -> Iterator[tuple[Parameter, float, 
 def kept_light(window: Window, field: float, design: Design, fewest: int = 1) -> AskedLight:
     """Rays of a search: those over a cell and a cone that reach the partner cell through ideal lenses.
 
-    Raises
-    ------
-    DesignError
-        They are fewer than `fewest`.
+    Raises DesignError: They are fewer than `fewest`.
     """
     one = window.with_cells((1, 1))
     rays = _partners(one, field, design)
@@ -213,17 +228,28 @@ FRESH = 16384
 FIELDS = (0.5, 1.0, 2.0)
 """Shares of the field at which start and end are compared; the best faces depend on the field."""
 
+LISTED_FIELDS = (1.0 / 3.0, 2.0 / 3.0, 1.0)
+"""The same of listed faces, whose field ends where light leaves its cells."""
+
+
+def fields_of(window: Window) -> tuple[float, ...]:
+    """Shares of the field at which start and end of a search are compared."""
+    return LISTED_FIELDS if window.form == "plates" else FIELDS
+
 
 @dataclass(frozen=True)
 class Seen:
-    """Result of independent rays: field and rms error to the law (radians), share in the partner cell."""
+    """Result of independent rays: field and rms error to the law (radians), share in the partner cell.
+
+    Of several lines: their mean rms error, and their share together.
+    """
 
     field: float
     law_rms: float
     throughput: float
 
 
-def measured(window: Window, field: float, design: Design) -> Seen:
+def measured(window: Window, field: float, design: Design, spectrum: Weights = ()) -> Seen:
     """Trace independent rays through the sheet, with the tracer of the checks; field in radians."""
     from clacad.tracing.trace import trace
 
@@ -239,9 +265,13 @@ def measured(window: Window, field: float, design: Design) -> Seen:
         field,
     )
     found = measure(
-        lambda lit: trace(small, lit.rays, path="numpy"), light, RequestedLaw(window.law), fewest=1
+        lambda lit: trace(small, lit.rays, path="numpy"),
+        light,
+        RequestedLaw(window.law),
+        dict(spectrum),
+        fewest=1,
     )
-    return Seen(field, found.rms, found.share)
+    return Seen(field, mean_rms(found), found.share)
 
 
 CELL_RAYS = 512
@@ -251,6 +281,9 @@ PART = 0.9
 
 ROOM = 1e-5
 """Allowed increase of the mean distance outside the cell over that of the start, in half widths."""
+
+INSIDE = 0.97
+"""Part of the cells of listed faces that light should hit: light beyond becomes stray light."""
 
 LOST = 1.0
 """Distance outside the cell (half widths) that is assigned to a lost ray."""
@@ -269,9 +302,7 @@ BORDER = 0.02
 class ShareOfLight:
     """Cones of rays over one cell, and the share of each in the cell of lens 2 at the start of the search.
 
-    cones : tuple of Rays
-    before : (c,)
-        Share of each cone.
+    before : (c,). Share of each cone.
     """
 
     cones: tuple[Rays, ...]
@@ -300,41 +331,52 @@ def _shares(window: Window, cones: Sequence[Rays]) -> Floats:
 class LightInCells:
     """Rays of the full field, and their distance outside their cells at the start of the search.
 
-    rays : Rays
-    before : float
-        Mean distance outside the border of lens 2's cell, in half widths.
+    before : Mean distance outside the border of lens 2's cell, in half widths; of listed faces outside
+        `INSIDE` of the cells of all faces.
+    inside : float
     """
 
     rays: Rays
     before: float
+    inside: float = 1.0
 
     @staticmethod
-    def of(window: Window) -> LightInCells | None:
-        """Constraint from the start window; None without a field lens."""
+    def of(window: Window, field: float = 0.0) -> LightInCells | None:
+        """Constraint from the start window; None without a field lens. field : radians, of listed faces."""
+        one = window.with_cells((1, 1))
+        if window.form == "plates":
+            rays = bundle(one, CELL_RAYS, field).rays
+            return LightInCells(rays, _beyond(window, rays, INSIDE), INSIDE)
         if not window.field_array:
             return None
-        one = window.with_cells((1, 1))
         rays = bundle(one, CELL_RAYS, atan(PART * min(half_field(thin_cells(window))))).rays
         return LightInCells(rays, _beyond(window, rays))
 
     def slack(self, window: Window) -> float:
         """Remaining increase of the mean distance outside the cell, over `ROOM`; below 0: violated."""
-        return (self.before + ROOM - _beyond(window, self.rays)) / ROOM
+        return (self.before + ROOM - _beyond(window, self.rays, self.inside)) / ROOM
 
 
-def _beyond(window: Window, rays: Rays) -> float:
-    """Mean distance (half widths of a cell) of rays outside the border of lens 2's cell."""
-    return float(np.clip(_way_out(window, rays), 0.0, LOST).mean())
+def _beyond(window: Window, rays: Rays, inside: float = 1.0) -> float:
+    """Mean distance (half widths of a cell) of rays outside a part of the cells."""
+    return float(np.clip(_way_out(window, rays, inside), 0.0, LOST).mean())
 
 
-def _way_out(window: Window, rays: Rays) -> Floats:
-    """Distance (n,) of rays from the border of lens 2's cell, half widths; inside < 0, `LOST` if lost."""
+def _way_out(window: Window, rays: Rays, inside: float = 1.0) -> Floats:
+    """Distance (n,) of rays from the border of lens 2's cell, half widths; inside < 0, `LOST` if lost.
+
+    Of listed faces it is the largest of all faces. inside : Part of the cell at whose border it is 0.
+    """
     seen = trace_sequence(interfaces(window), rays, record=True)
     assert seen.hits is not None  # recorded
-    last = max(number for number, face in enumerate(window.faces) if face.array == 1)
-    local = seen.hits[last][:, :2] - np.asarray(window.shifts[1])
+    faces = [one.face for one in refractions(window.bodies)]
+    judged = [number for number, face in enumerate(faces) if face.array is not None]
+    if window.form != "plates":
+        judged = [max(number for number in judged if faces[number].array == 1)]
     out = np.full(len(rays), -LOST)
-    for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):
-        across = local @ np.asarray(window.lattice.offset(*step)) / (2.0 * half)
-        out = np.maximum(out, across / half - 1.0)
+    for number in judged:
+        local = seen.hits[number][:, :2] - np.asarray(window.shifts[faces[number].array or 0])
+        for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):
+            across = local @ np.asarray(window.lattice.offset(*step)) / (2.0 * half)
+            out = np.maximum(out, across / half - inside)
     return np.where(seen.fate == Fate.ALIVE, out, LOST)

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import cos, degrees, inf, isfinite
+from itertools import pairwise
+from math import cos, degrees, inf, isfinite, pi
 from time import monotonic
 
 import numpy as np
 
+from clacad.base.sobol import sobol
 from clacad.base.types import Bools, Floats
 from clacad.checks.design_kinds import EDGE, NECK, RADIUS, SAG, SLOPE
 from clacad.design import Design
@@ -24,12 +26,20 @@ from clacad.design.process_profiles import profile
 from clacad.design.sections import PAIR
 from clacad.optics.fit import minimise
 from clacad.optics.surface import Surface
-from clacad.optimising.aim import FIELDS, RAYS, Aim, AimedRays, LightInCells, ShareOfLight
+from clacad.optimising.aim import RAYS, Aim, AimedRays, LightInCells, ShareOfLight, fields_of
+from clacad.optimising.listed_unknowns import ListedUnknowns, with_listed
 from clacad.optimising.unknowns import Unknowns, given_design, refused, trial_design, with_faces
 from clacad.prescription.bodies import given_conics
 from clacad.sheet.feasibility.convex_extremes import outline
+from clacad.sheet.moved_plates import paraxial_exit
 from clacad.sheet.window import Body, Face, Window, in_optical_tile, lens_height_and_normal, optical_tile
 from clacad.verification.process_rules import process_limit
+
+LISTED_NORMAL_Z = cos(0.25 * pi)
+"""Least z component of a normal of listed faces: a slope of 1."""
+
+KEPT_PATH = 0.01
+"""Largest relative change of B of listed faces; the error falls without limit as they move apart."""
 
 GRID = 21
 REAL = 0.02
@@ -48,18 +58,14 @@ LOST = -1.0
 class Walls:
     """Limits of a design, and the points at which they are evaluated.
 
-    x, y : (n,) lengths
-        Points of the optical zone, cell frame.
-    normal_z : float
-        Least z component of a normal.
-    radius, sag : float, lengths
-        Least radius and greatest height; 0 and infinite without one.
-    thickness : (b,) lengths
-        Least allowed thickness of each body in its cell.
-    share : ShareOfLight
-        Constraint on the light of the comparison cones that misses its cell.
-    light : LightInCells or None
-        With a field lens: constraint on the light of the full field that misses its cell.
+    x, y : (n,) lengths. Points of the optical zone, cell frame.
+    normal_z : Least z component of a normal.
+    radius, sag : lengths. Least radius and greatest height; 0 and infinite without one.
+    thickness : (b,) lengths. Least allowed thickness of each body in its cell.
+    share : Constraint on the light of the comparison cones that misses its cell.
+    light : With a field lens: constraint on the light of the full field that misses its cell.
+    path : length. B of listed faces at the start, which is kept; 0: of another form.
+    gaps : length. Least air between listed plates: a neck, or that of the start where it has less.
     """
 
     x: Floats
@@ -70,6 +76,8 @@ class Walls:
     thickness: tuple[float, ...]
     share: ShareOfLight
     light: LightInCells | None = None
+    path: float = 0.0
+    gaps: float = 0.0
 
     @staticmethod
     def of(design: Design, window: Window, field: float | None = None) -> Walls:
@@ -91,12 +99,14 @@ class Walls:
         return Walls(
             x,
             y,
-            max(design.check.graph, cos(slope)),
+            max(design.check.graph, cos(slope), LISTED_NORMAL_Z if window.form == "plates" else 0.0),
             radius,
             sag,
             needs,
-            ShareOfLight.of(window, [part * cone for part in FIELDS], design.check.field_centre),
-            LightInCells.of(window),
+            ShareOfLight.of(window, [part * cone for part in fields_of(window)], design.check.field_centre),
+            LightInCells.of(window, cone),
+            _b_of(window) if window.form == "plates" else 0.0,
+            min(neck, (1.0 - 2.0 * MARGIN) * min(_gaps(window, x, y), default=inf)),
         )
 
     def slack(self, window: Window) -> dict[str, float]:
@@ -117,6 +127,10 @@ class Walls:
         found["share of light"] = self.share.slack(window)
         if self.light is not None:
             found["light in its cells"] = self.light.slack(window)
+        if self.path:
+            found["B of the faces"] = 1.0 - abs(_b_of(window) / self.path - 1.0) / KEPT_PATH
+            for number, gap in enumerate(_gaps(window, self.x, self.y), start=1):
+                found[f"air behind plate {number}"] = gap / self.gaps - 1.0 if isfinite(gap) else LOST
         return found
 
     def _of_face(self, face: Face, name: str, z: Floats, normal: Floats) -> dict[str, float]:
@@ -132,7 +146,7 @@ class Walls:
         if isfinite(self.sag):
             found[f"height of {name}"] = LOST if lost else 1.0 - float(np.ptp(z)) / self.sag
         if face.land is not None:
-            proud = LOST if lost else float((face.side * (face.land - z)).min())
+            proud = LOST if lost else float((face.land_side * (face.land - z)).min())
             found[f"{name} over its land"] = proud if lost else proud / max(float(np.ptp(z)), 1e-300)
         return found
 
@@ -148,6 +162,25 @@ def _thinnest(body: Body, x: Floats, y: Floats) -> float:
     return _least_apart(body, front, back)
 
 
+def _gaps(window: Window, x: Floats, y: Floats) -> list[float]:
+    """Least air (lengths) between two plates, over any two points (n,) of their cells; NaN if no face."""
+    found = []
+    for before, behind in pairwise(window.bodies):
+        if not behind.joined:
+            back, front = (lens_height_and_normal(face, x, y)[0] for face in (before.back, behind.front))
+            found.append(float(front.min() - back.max()))
+    return found
+
+
+def _b_of(window: Window) -> float:
+    """B of the faces (length), mean of both axes: height behind them per slope before them."""
+    ends = [
+        paraxial_exit(window, np.zeros(2), slope)[0] - paraxial_exit(window, np.zeros(2), np.zeros(2))[0]
+        for slope in np.eye(2)
+    ]
+    return float(np.trace(np.array(ends)) / 2.0)
+
+
 def _least_apart(body: Body, front: Floats, back: Floats) -> float:
     """Least thickness between heights (n,), lengths; for a slab, over every combination of cells."""
     return float((back - front).min() if body.columnar else back.min() - front.max())
@@ -161,6 +194,10 @@ def _radicand(surface: Surface, points: Floats) -> float:
     a, b = (1.0 + kx) * surface.curvature_x**2, (1.0 + ky) * surface.curvature_y**2
     return float((1.0 - a * points[:, 0] ** 2 - b * points[:, 1] ** 2).min())
 
+
+AROUND, SMALL = 0.1, 0.02
+"""Range of further starts, as a part of the unknowns of the design, and of the least size that these count.
+"""
 
 TIE = 1e-9
 """Residual (radians) of a conic constant of 1: enough to fix one that light does not determine, too little to
@@ -181,6 +218,18 @@ TOLD = 0.9
 
 Progress = Callable[[int, float], None]
 """Receives the number of evaluations so far and the best rms error (radians)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """Limits of a search.
+
+    seconds : Time after which it ends with the best so far; None: without limit.
+    starts : Number of starts: the design's faces, then others around them. The best within the walls counts.
+    """
+
+    seconds: float | None = None
+    starts: int = 1
 
 
 class OutOfTime(Exception):
@@ -210,13 +259,15 @@ class FaceSearch:
         self,
         design: Design,
         window: Window,
-        unknowns: Unknowns,
+        unknowns: Unknowns | ListedUnknowns,
         aim: Aim,
         progress: Progress | None = None,
-        until: float = inf,
+        effort: Effort | None = None,
     ) -> None:
         self.design, self.window, self.unknowns, self.aim = design, window, unknowns, aim
-        self.progress, self.until = progress, until
+        limit = effort or Effort()
+        self.progress, self.starts = progress, limit.starts
+        self.until = inf if limit.seconds is None else monotonic() + limit.seconds
         self.walls = Walls.of(design, window, aim.field)
         self.target = AimedRays.of(aim, design, window, len(unknowns.free))
         self.before = self.error_of(window)
@@ -246,7 +297,8 @@ class FaceSearch:
     def run(self) -> str:
         """Search; return why it was stopped, "" where it finished."""
         try:
-            here = self._lower_orders()
+            for number in range(self.starts):
+                here = self._lower_orders(self._start(number))
             for order in self.left_out:
                 if order != "a8" or "a6" in self.kept:  # a6 gave enough gain
                     self._higher_order(order, here)
@@ -258,10 +310,18 @@ class FaceSearch:
             return "seconds"
         return ""
 
-    def _lower_orders(self) -> Floats:
+    def _start(self, number: int) -> Floats:
+        """Unknowns (k,) of a start: the design's, then points around them, of a Sobol sequence."""
+        start = self.unknowns.vector
+        if number == 0:
+            return start
+        apart = sobol(1, len(start), skip=number)[0] - 0.5
+        return np.asarray(start + AROUND * apart * np.maximum(np.abs(start), SMALL))
+
+    def _lower_orders(self, here: Floats) -> Floats:
         """Search terms of fourth order before conic constants: being alike, both together diverge."""
         kinds = np.array([one.kind for one in self.unknowns.free])
-        here, now = self.unknowns.vector, ~np.isin(kinds, HIGHER)
+        now = ~np.isin(kinds, HIGHER)
         if "K" in kinds and "a4" in kinds:
             here = self._among(here, now & (kinds != "K"))
         return self._among(here, now)
@@ -334,6 +394,7 @@ class FaceSearch:
             self.kept_unknowns,
             RAYS,
             tuple((float(at), 1e3 * rms) for at, rms in self.best.history),
+            tuple((float(f"{1e9 * line:.12g}"), weight) for line, weight in self.aim.spectrum),
         )
         return given_design(self.design, self.window, faces, offset, record)
 
@@ -345,7 +406,8 @@ class FaceSearch:
     def _trial(self, vector: Floats) -> Window:
         faces, offset = self.unknowns.faces(vector)
         if self.quick:
-            return with_faces(self.window, faces)
+            build = with_listed if self.window.form == "plates" else with_faces
+            return build(self.window, faces)
         from clacad.prescription.prescribe import placed
 
         return placed(trial_design(self.design, self.window, faces, offset))

@@ -8,9 +8,8 @@ Design file of a search result, with comments on its origin and its gains.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from math import degrees, inf
-from time import monotonic
+from dataclasses import dataclass, replace
+from math import degrees, nan
 from typing import Any
 
 import numpy as np
@@ -20,10 +19,12 @@ from clacad.base.types import Floats
 from clacad.config.edit_text import to_toml
 from clacad.design import Design
 from clacad.design.faces import face_table
-from clacad.design.sections import PAIR
-from clacad.optimising.aim import FIELDS, MOST_LOST, RAYS, WHOLE, Aim, AimedRays, Seen, Weights, measured
-from clacad.optimising.face_search import FaceSearch, Progress
-from clacad.optimising.unknowns import chosen, refused
+from clacad.design.sections import LIGHT, PAIR
+from clacad.optimising.aim import MOST_LOST, RAYS, WHOLE, Aim, AimedRays, Seen, Weights, fields_of, measured
+from clacad.optimising.face_search import Effort, FaceSearch, Progress
+from clacad.optimising.listed_unknowns import ListedUnknowns, listed_unknowns
+from clacad.optimising.unknowns import Unknowns, chosen, refused
+from clacad.prescription.face_list import as_listed
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.need_window import equal_cells
 from clacad.sheet.window import Window
@@ -35,9 +36,7 @@ SAME = 1e-12
 def refuse_lost_light(before: Sequence[Seen], after: Sequence[Seen]) -> None:
     """Refuse faces that lose more than `MOST_LOST` of the light of a cone, compared with the start.
 
-    Raises
-    ------
-    DesignError
+    Raises DesignError.
     """
     if not after:
         return
@@ -58,15 +57,9 @@ def refuse_lost_light(before: Sequence[Seen], after: Sequence[Seen]) -> None:
 def refuse_moved(start: Window, found: Window, *, traced: bool) -> None:
     """Refuse a design whose plates, vertices or cells have moved from those of the start.
 
-    Parameters
-    ----------
-    start, found : Window
     traced : bool
         Whether tracing places the vertices of lens 2 in their cells; then only their heights are compared.
-
-    Raises
-    ------
-    DesignError
+    Raises DesignError.
     """
     apart = np.abs(_places(found, traced=traced) - _places(start, traced=traced)).max()
     if not apart <= SAME * start.thin.separation:
@@ -84,6 +77,9 @@ def _places(window: Window, *, traced: bool) -> Floats:
     vertices = np.array([face.vertex for face in window.faces])
     return np.concatenate([(vertices[:, 2:] if traced else vertices).ravel(), np.ravel(window.shifts)])
 
+
+OWN = "design"
+"""Word for the lines that [light] of the design states."""
 
 ALIKE = "a slope as lattice.aperture aims all cells alike"
 """Suggested input of a search for a non-uniform sheet."""
@@ -112,6 +108,8 @@ class Optimised:
     history : tuple of (evaluations, rms error in radians)
         Best result within the walls at each improvement by a tenth, the first and the last; contains no
         times.
+    spectrum : str
+        Word of the request; "" for the design's wavelength.
     stopped : str
         "": finished; "interrupted" or "seconds": `design` is the best so far.
     """
@@ -128,6 +126,7 @@ class Optimised:
     expected: tuple[float, float] | None
     history: tuple[tuple[int, float], ...]
     stopped: str
+    spectrum: str = ""
 
     @property
     def finished(self) -> bool:
@@ -150,6 +149,7 @@ class Optimised:
             "field": self.field,
             "weights": [list(pair) for pair in self.aim.weights],
             "tolerances": self.aim.tolerances,
+            **({"spectrum": [list(pair) for pair in self.aim.spectrum]} if self.aim.spectrum else {}),
             "unknowns": self.unknowns,
             "rays": RAYS,
             "evaluations": self.evaluations,
@@ -171,9 +171,10 @@ def optimise(
     *,
     weights: Weights = WHOLE,
     tolerances: bool = False,
-    seconds: float | None = None,
+    seconds: float | Effort | None = None,
+    spectrum: str | None = None,
 ) -> Optimised:
-    """Search for the faces with the least error to the law of a design, over a field.
+    """Search for face shapes that keep closer to the law of a design than the derived ones, over a field.
 
     Parameters
     ----------
@@ -182,17 +183,23 @@ def optimise(
         Free parameters: "radii", "conic", "bending" (separate radii of both faces; biconvex), "a4" (on
         paraboloids unless "conic" is free, too), "a6" on top of it and "a8" on top of that, "offset" (of lens
         2; fixed otherwise). Terms of sixth and eighth order are kept only if they reduce the error by more
-        than a tenth.
+        than a tenth. Listed faces: "radii", "conic", "a4", "a6", "a8", "thickness" (all distances, with B of
+        the faces kept) and "joints" (their radii and places).
     field : float or None, radians
         Half angle of the cone of rays; None: the design's `check.field`.
     progress : callable or None
+        Called with the number of designs tried and the rms error (radians) of each better one; None: a bar
+        at a prompt and in a notebook.
     weights : tuple of (part of the field, weight)
         Cones and the weights of their mean square errors; default the field alone.
     tolerances : bool
         Minimise the expected error of parts made with the design's [tolerances], not of the perfect part.
-    seconds : float or None
-        Time limit, after which the best result so far is returned. A search that finishes earlier does not
-        depend on the limit.
+    seconds : float, Effort or None
+        Time limit, after which the best result so far is returned, or limit and number of starts. A search
+        that finishes earlier does not depend on the limit.
+    spectrum : str or None
+        Minimise the mean rms error over the lines of "visible" or "photopic" light, or of the [light] of the
+        "design"; None: the error at the design's wavelength.
 
     Returns
     -------
@@ -203,25 +210,64 @@ def optimise(
     Raises
     ------
     DesignError
-        A word that cannot be free; a weight that is none; or no faces were found that keep within the walls.
+        A word that cannot be free; a weight that is none; a material without an index at a line; or no faces
+        were found that keep within the walls.
     NoTolerances
         `tolerances` is True, and the design states none.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> better = clacad.optimise(design, free=("radii",))
+    >>> better.after[1].law_rms < better.before[1].law_rms
+    True
+    >>> better.design.pair.prescription
+    'given'
     """
+    design = as_listed(design)
     window = equal_cells(prescribe(design), "a search for better faces", ALIKE)
-    unknowns = chosen(window, tuple(free))
-    aim = Aim(design.check.field if field is None else field, tuple(weights), tolerances)
-    until = inf if seconds is None else monotonic() + seconds
-    search = FaceSearch(design, window, unknowns, aim, progress, until)
+    unknowns = _chosen(design, window, tuple(free))
+    cone = design.check.field if field is None else field
+    aim = Aim(cone, tuple(weights), tolerances, lines_of_search(design, spectrum))
+    effort = seconds if isinstance(seconds, Effort) else Effort(seconds)
+    search = FaceSearch(design, window, unknowns, aim, progress or _shown(), effort)
     before = _compared(design, window, aim)
     stopped = search.run()
     if stopped == "interrupted" and not search.gained:
         raise KeyboardInterrupt
-    return _checked(search, tuple(free), before, stopped)
+    return replace(_checked(search, tuple(free), before, stopped), spectrum=spectrum or "")
+
+
+def _chosen(design: Design, window: Window, free: tuple[str, ...]) -> Unknowns | ListedUnknowns:
+    """Unknowns that words name, of a pair or a list of faces."""
+    if window.form == "plates":
+        return listed_unknowns(design, window, free)
+    return chosen(window, free)
+
+
+def lines_of_search(design: Design, spectrum: str | None) -> Weights:
+    """Lines (metres, weight) that a word names; empty for None.
+
+    Raises DesignError: A material of the design has no index at one of them.
+    """
+    if spectrum is None:
+        return ()
+    stated = design.given.get("light", {}).get("spectrum", "visible") if spectrum == OWN else spectrum
+    return tuple(design.replace(LIGHT.spectrum, stated).light.lines.items())
+
+
+def _shown() -> Progress:
+    """Progress as the stage of a bar; how much is left is not known."""
+    from clacad.base.interactive import shown_progress
+
+    report = shown_progress(None)
+    return lambda tried, rms: report(f"{tried} designs tried, best {mrad_text(rms, 3)}", nan)
 
 
 def _compared(design: Design, window: Window, aim: Aim) -> tuple[Seen, ...]:
     """Light of a design at the shares of the field at which start and end are compared."""
-    return tuple(measured(window, part * aim.field, design) for part in FIELDS)
+    return tuple(measured(window, part * aim.field, design, aim.spectrum) for part in fields_of(window))
 
 
 def _checked(search: FaceSearch, free: tuple[str, ...], before: tuple[Seen, ...], stopped: str) -> Optimised:
@@ -230,7 +276,7 @@ def _checked(search: FaceSearch, free: tuple[str, ...], before: tuple[Seen, ...]
     better = search.best_design(free)
     assert search.best is not None  # otherwise there is no best design
     made = prescribe(better)
-    if "offset" not in free:
+    if not {"offset", "thickness", "joints"} & set(free):
         refuse_moved(window, made, traced=design.pair.offset == "traced")
     after = () if stopped == "interrupted" else _compared(better, made, aim)
     refuse_lost_light(before[: len(after)], after)
@@ -251,7 +297,12 @@ def _checked(search: FaceSearch, free: tuple[str, ...], before: tuple[Seen, ...]
 
 
 def outlook(
-    design: Design, free: tuple[str, ...], weights: Weights = WHOLE, *, tolerances: bool = False
+    design: Design,
+    free: tuple[str, ...],
+    weights: Weights = WHOLE,
+    *,
+    tolerances: bool = False,
+    spectrum: str | None = None,
 ) -> dict[str, float]:
     """Forecast of a search: unknowns, evaluations and processor seconds of one core of the reference machine.
 
@@ -260,12 +311,16 @@ def outlook(
     DesignError, NoTolerances
         As `optimise` of the same words.
     """
+    design = as_listed(design)
     window = equal_cells(prescribe(design), "a search for better faces", ALIKE)
-    aim = Aim(design.check.field, tuple(weights), tolerances)
-    unknowns = chosen(window, tuple(free))
+    aim = Aim(design.check.field, tuple(weights), tolerances, lines_of_search(design, spectrum))
+    unknowns = _chosen(design, window, tuple(free))
     k = len(unknowns.free)
     evaluations = 10.0 + 0.8 * k * k  # measured: 16, 37, 34 and 379 of 4, 8, 10 and 20 unknowns
     each = (0.005 if unknowns.still else 0.02) * (1.5 if "a4" in free else 1.0) * len(weights)
+    if window.form == "plates":
+        evaluations, each = 10.0 + 9.0 * k * k, 0.03 * len(weights)  # measured: 293, 1372 of 6, 12 unknowns
+    each *= max(1, len(aim.spectrum))
     each += 0.008 * len(AimedRays.of(aim, design, window, k).errors)
     return {"unknowns": k, "evaluations": evaluations, "seconds": 0.6 + each * evaluations}
 
@@ -290,12 +345,18 @@ def design_text(found: Optimised) -> str:
             continue
         parts.append(to_toml({name: pair if name == "pair" else section}))
         if name == "pair":
-            plates = pair["form"] == "slab" and len(faces) == len(PLATES)
-            for face, place in zip(faces, PLATES if plates else PLACES[len(faces)], strict=True):
+            for face, place in zip(faces, _names(pair["form"], len(faces)), strict=True):
                 body = to_toml(face)
                 parts.append(f"\n[[pair.face]]    # {place}\n{body}")
             parts.append(to_toml({PAIR.search: record}))
     return "".join(parts)
+
+
+def _names(form: str, count: int) -> tuple[str, ...]:
+    """Names of the faces of a form in the order of the light."""
+    if form == "plates":
+        return tuple(f"face {number}" for number in range(1, count + 1))
+    return PLATES if form == "slab" and count == len(PLATES) else PLACES[count]
 
 
 def _about(found: Optimised) -> str:
@@ -310,7 +371,9 @@ def _about(found: Optimised) -> str:
         why = "on the way" if found.stopped == "interrupted" else "when its seconds were over"
         lines.append(f"The search was stopped {why}; this is the best it had found within the walls.")
     if found.after:
-        what = "Direction error to the law, rms over fresh rays, and share of light that gets to its partner"
+        mean = ", mean of the lines" if found.spectrum else ""
+        what = f"Direction error to the law, rms over fresh rays{mean}, and share of light that gets to its"
+        what += " partner"
         lines += ["", f"{what} cell:", *(f"  {text}" for text in gains(found))]
         lines += ["What is best over this field need not be over another."]
     if found.expected is not None:
@@ -323,6 +386,7 @@ def asked(found: Optimised) -> str:
     text = f'--free {",".join(found.free)} --field "{degrees(found.field):.4g} deg"'
     if found.aim.weights != WHOLE:
         text += f" --weights {','.join(f'{part:g}:{weight:g}' for part, weight in found.aim.weights)}"
+    text += f" --spectrum {found.spectrum}" if found.spectrum else ""
     return text + (" --tolerances" if found.aim.tolerances else "")
 
 

@@ -23,7 +23,7 @@ from clacad.base.units import MONOMIALS, POWER
 from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.value_kinds import shown
 from clacad.design.faces import FaceSpec, SearchRecord, face_table
-from clacad.design.sections import OF_RECIPES, PAIR
+from clacad.design.sections import OF_RECIPES
 from clacad.optics.surface import EvenPolynomial, Quadric, Surface
 from clacad.prescription.bodies import given_conics, given_surface
 from clacad.sheet.window import Window
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 WORDS = ("radii", "conic", "bending", "a4", "a6", "a8", "offset", "field")
+"""Words for pairs; `clacad.optimising.listed_unknowns` has those for listed faces."""
 
 NEVER = {
     "separation": "the error falls as the cube of pitch over separation, without limit",
@@ -57,19 +58,12 @@ class Unknown:
 class Unknowns:
     """Free numbers of the faces.
 
-    Parameters
-    ----------
-    start : tuple of FaceSpec
-        All faces in the order of the light, at the start of the search.
+    start : All faces in the order of the light, at the start of the search.
     offset : (2,) lengths or None
         Offset of lens 2, free or fixed at its start value; None: it is 0 and fixed.
-    free : tuple of Unknown
-    half : float
-        Half a cell, length.
-    still : bool
-        Whether lens 2 keeps its position: its offset is not free.
-    ellipsoids : bool
-        Conic constants follow from the radii: κ = √(c_x c_y).
+    half : Half a cell, length.
+    still : Whether lens 2 keeps its position: its offset is not free.
+    ellipsoids : Conic constants follow from the radii: κ = √(c_x c_y).
     """
 
     start: tuple[FaceSpec, ...]
@@ -104,7 +98,7 @@ class Unknowns:
                 elif one.kind == "K":
                     conic[k][one.part] = value * CONICS
                 else:
-                    terms[one.kind][k][one.part] = value / self._slope(one.kind)
+                    terms[one.kind][k][one.part] = value / slope_of(one.kind, self.half)
         if self.ellipsoids:
             conic = [_ellipsoid(c, k) for c, k in zip(curvature, conic, strict=True)]
         made = tuple(
@@ -124,12 +118,13 @@ class Unknowns:
             return face.curvature[one.part] * self.half
         if one.kind == "K":
             return face.conic[one.part] / CONICS
-        return float(getattr(face, one.kind)[one.part]) * self._slope(one.kind)
+        return float(getattr(face, one.kind)[one.part]) * slope_of(one.kind, self.half)
 
-    def _slope(self, order: str) -> float:
-        """Slope at the border of a cell of a term of this order whose coefficient is 1."""
-        power = POWER[order]
-        return float((power + 1.0) * self.half**power)
+
+def slope_of(order: str, half: float) -> float:
+    """Slope at the border of a cell (`half` a cell wide) of a term of this order whose coefficient is 1."""
+    power = POWER[order]
+    return float((power + 1.0) * half**power)
 
 
 def _radius(curvature: float) -> float:
@@ -148,18 +143,8 @@ def _ellipsoid(curvature: list[float], conic: list[float]) -> list[float]:
 def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
     """Unknowns named by words, for a start window.
 
-    Raises
-    ------
-    DesignError
-        A word is unknown, may never be free, or does not apply to this form.
+    Raises DesignError: A word is unknown, may never be free, or does not apply to this form.
     """
-    if window.form == "plates":
-        raise refused(
-            "CL114",
-            "listed faces are used as they are: a search over plates is not built",
-            PAIR.form,
-            allowed='pair.form = "biconvex", "plano" or "slab"',
-        )
     _refuse(window, words)
     faces = tuple(_spec(face.surface) for face in window.faces)
     lenses = [k for k, face in enumerate(window.faces) if face.array in (0, 1)]
@@ -259,19 +244,24 @@ _NEEDS = (
 )
 
 
-def _refuse(window: Window, words: tuple[str, ...]) -> None:
-    """Refuse words that are unknown, may never be free, or need what the design lacks."""
-    every = ", ".join(WORDS)
+def refuse_words(words: tuple[str, ...], known: tuple[str, ...], never: Mapping[str, str]) -> None:
+    """Refuse words that are unknown or may never be free, and none."""
+    every = ", ".join(known)
     for word in words:
-        if word in NEVER:
-            message = f"{word} is not to be free: {NEVER[word]}"
+        if word in never:
+            message = f"{word} is not to be free: {never[word]}"
             raise refused("CL107", message, "free", found=word, allowed=every)
-        if word not in WORDS:
+        if word not in known:
             message = f"{shown(word)} is nothing that can be free"
-            hint = did_you_mean(near(word.lower(), WORDS, 0.5), quote='"')
+            hint = did_you_mean(near(word.lower(), known, 0.5), quote='"')
             raise refused("CL107", message, "free", found=word, allowed=every, hint=hint)
     if not words:
         raise refused("CL107", "nothing is free", "free", allowed=every)
+
+
+def _refuse(window: Window, words: tuple[str, ...]) -> None:
+    """Refuse words that are unknown, may never be free, or need what the design lacks."""
+    refuse_words(words, WORDS, NEVER)
     for need in _NEEDS:
         if need.word in words and not need.met(window, words):
             message = need.message.format(form=window.form)
@@ -307,11 +297,12 @@ def given_design(
 
     data = {key: dict(value) if isinstance(value, Mapping) else value for key, value in design.given.items()}
     pair = {key: value for key, value in data["pair"].items() if key not in (*OF_RECIPES, "search")}
-    if design.pair.form != "slab":
+    if design.pair.form not in ("slab", "plates"):
         pair["thickness"] = list(window.recipe["T"])
     if offset is not None:
         pair["vertex"] = list(offset)
-    pair["prescription"] = "given"
+    if design.pair.form != "plates":
+        pair["prescription"] = "given"
     pair["face"] = [face_table(face) for face in faces]
     if record is not None:
         pair["search"] = record.to_dict()
@@ -322,6 +313,8 @@ def trial_design(
     design: Design, window: Window, faces: tuple[FaceSpec, ...], offset: tuple[float, float] | None
 ) -> Design:
     """Unchecked design with these faces, as a trial of the search."""
+    if design.pair.form == "plates":
+        return replace(design, pair=replace(design.pair, face=faces))
     thickness = design.pair.thickness if design.pair.form == "slab" else tuple(window.recipe["T"])
     given = replace(
         design.pair,

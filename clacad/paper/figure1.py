@@ -172,14 +172,10 @@ def solid_findings(scene: Scene) -> Iterator[AtlasFinding]:
 class MeasuredLenses:
     """The lenses of an array as measured on its triangles, in order of their cells.
 
-    Attributes
-    ----------
-    centre : (n, 3) lengths
-        Midway between the vertices of both faces.
+    centre : (n, 3) lengths. Midway between the vertices of both faces.
     frame : (n, 3, 3)
         Columns: principal directions x, y of the front face and its axis z, which points to +z.
-    radii : (n, 2) lengths
-        Radii of curvature of the front face at its vertex, along x and y.
+    radii : (n, 2) lengths. Radii of curvature of the front face at its vertex, along x and y.
     """
 
     centre: Floats
@@ -219,12 +215,8 @@ def _face_corners(body: BodyMesh, kind: int) -> Floats:
 def quadrics(points: Floats, flatter_x: bool) -> tuple[Floats, Floats, Floats]:
     """Vertex (n, 3), frame (n, 3, 3) and radii (n, 2) of the ellipsoids through points (n, k, 3), k ≥ 9.
 
-    Parameters
-    ----------
-    points : (n, k, 3) lengths
-        Points on n caps about the z axis of each ellipsoid.
-    flatter_x : bool
-        Whether x names the meridian with the larger radius.
+    points : (n, k, 3) lengths. Points on n caps about the z axis of each ellipsoid.
+    flatter_x : Whether x names the meridian with the larger radius.
 
     Returns
     -------

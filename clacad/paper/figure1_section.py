@@ -32,15 +32,8 @@ SHARE = 0.92
 def section_svg(design: Design) -> str:
     """Draw a design's telescopelet and a bundle of parallel rays through it.
 
-    Parameters
-    ----------
-    design : Design
-        Its optical axis must lie in the x, z plane: euler = (-90, θ, 90) turns it by θ towards +x.
-
-    Raises
-    ------
-    ValueError
-        The axis leaves the drawn plane.
+    design : Its optical axis must lie in the x, z plane: euler = (-90, θ, 90) turns it by θ towards +x.
+    Raises ValueError: The axis leaves the drawn plane.
     """
     window = prescribe(design).with_cells((1, 1))
     rotation = window.thin.rotation

@@ -7,22 +7,23 @@ from __future__ import annotations
 
 import html
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import nan
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from clacad.base.types import Bytes
+from clacad.base.types import Bytes, Progress
 from clacad.design import Design
 from clacad.design.sections import AimedAt
-from clacad.paper.figure1 import section_findings, solid_findings
+from clacad.paper.figure1 import section_findings, solid_findings, solid_picture
 from clacad.paper.paper_figures import FIGURES as PAPER
 from clacad.paper.paper_figures import MOVIES, AtlasFinding, Figure, piece_on_sheet
 from clacad.paper.sheet_figures import DIFFERING, FIELD_LENS, ghosts_marked
 from clacad.rendering.camera import aim
-from clacad.rendering.picture import Picture, Progress, checked_frames, view_through
+from clacad.rendering.picture import Picture, checked_frames, view_through
 from clacad.rendering.picture_files import animate, label_lines, labelled, metadata_of, pixels_of, save
 from clacad.scene import Scene, load_scene
 from clacad.storage.atomic import Stage, canonical_json, file_hash
@@ -57,13 +58,9 @@ def page_of(
 ) -> str:
     """The page of some figures.
 
-    Parameters
-    ----------
-    figures : sequence of Figure
     findings : mapping from row to findings
     movies : sequence of (scene file stem, title)
-    names : sequence of str
-        Files in the folder of the page.
+    names : Files in the folder of the page.
     """
     parts = [f"<p>{html.escape(NOTE)}</p>"]
     if "fig1a.svg" in names:
@@ -115,11 +112,7 @@ FIGURES = (*PAPER, *DIFFERING)
 class Atlas:
     """Result of making an atlas.
 
-    Attributes
-    ----------
-    folder : Path
     findings : mapping from row to findings
-    files : tuple of str
     """
 
     folder: Path
@@ -136,22 +129,11 @@ class Atlas:
 class AtlasRequest:
     """Specification of an atlas.
 
-    Parameters
-    ----------
-    scenes : Path
-        Folder of the scene files.
-    out : Path
-    size : int
-        Pixels across a picture.
-    samples : int
-        Rays a pixel.
-    movies : bool
-    movie_size : int
-    rows : tuple of str
-        Rows to make ("F3"); empty: all.
-    measured : bool
-        Whether rows are measured.
-    overwrite : bool
+    scenes : Folder of the scene files.
+    size : Pixels across a picture.
+    samples : Rays a pixel.
+    rows : Rows to make ("F3"); empty: all.
+    measured : Whether rows are measured.
     """
 
     scenes: Path
@@ -184,14 +166,9 @@ class Movie:
 class AtlasJob:
     """All input of an atlas, read and checked.
 
-    Attributes
-    ----------
-    request : AtlasRequest
-    figures : tuple of Figure
     stills : mapping from scene file stem to Scene, sized as requested
-    movies : tuple of Movie, frames sized as requested
-    first : (Scene, Scene) or None
-        Of Fig. 1(a) and 1(b).
+    movies : frames sized as requested
+    first : (Scene, Scene) or None. Of Fig. 1(a) and 1(b).
     """
 
     request: AtlasRequest
@@ -214,11 +191,8 @@ class NoSuchRow(ValueError):
 def prepare(request: AtlasRequest) -> AtlasJob:
     """Read every scene that an atlas needs and check every frame of its movies.
 
-    Raises
-    ------
-    NoSuchRow
-    SceneError
-        A scene is missing or wrong.
+    Raises NoSuchRow.
+    Raises SceneError: A scene is missing or wrong.
     """
     figures = (*FIGURES, FIELD_LENS)
     known = ("F1", *(figure.row for figure in figures))
@@ -247,21 +221,16 @@ def prepare(request: AtlasRequest) -> AtlasJob:
 
 
 def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
-    """Make the figures, movies, measurements and the index page.
-
-    Raises
-    ------
-    CannotWrite, ExportRefused
-    """
+    """Make the figures, movies, measurements and the index page. Raises CannotWrite, ExportRefused."""
     tell = progress or (lambda stage, share: None)
     findings: dict[str, tuple[AtlasFinding, ...]] = {}
     with Stage(job.request.out, overwrite=job.request.overwrite) as stage:
         if job.first is not None:
-            tell("F1", None)
+            tell("F1", nan)
             findings |= _first_figure(stage, *job.first, measured=job.request.measured)
         for figure in job.figures:
             for stem, label in figure.scenes:
-                tell(f"{figure.row}: {label}", None)
+                tell(f"{figure.row}: {label}", nan)
                 still = job.stills[stem]
                 picture = ghosts_marked(still) if figure.ghosts_marked else view_through(still, compiled=True)
                 text = f"{figure.row}: {label if figure.ghosts_marked else parameters(still)}"
@@ -270,10 +239,10 @@ def make_atlas(job: AtlasJob, progress: Progress | None = None) -> Atlas:
                     pixels = circled(pixels, still)
                 save(labelled(pixels, text), stage.path(f"{stem}.png"), metadata_of(picture))
             for stem, label, draw in figure.drawn:
-                tell(f"{figure.row}: {label}", None)
+                tell(f"{figure.row}: {label}", nan)
                 stage.path(f"{stem}.png").write_bytes(draw())
             if job.request.measured:
-                tell(f"{figure.row}: measuring", None)
+                tell(f"{figure.row}: measuring", nan)
                 findings[figure.row] = tuple(figure.check(job.load))
         for movie in job.movies:
             _movie(stage, movie, tell)
@@ -318,11 +287,7 @@ def _sized(scene: Scene, size: int, samples: int) -> Scene:
 def parameters(scene: Scene, turned: bool = False) -> str:
     """Parameters that a still shows, read from the scene itself: "eta = (-0.25, -1), z = 10".
 
-    Parameters
-    ----------
-    scene : Scene
-    turned : bool
-        Name the three angles even where all are 0.
+    turned : Name the three angles even where all are 0.
     """
     said = [scene.design().law_spec.words(turned), *_of_cells(scene.design())]
     said += [f"z = {thing.at[2]:.4g}" for thing in scene.objects if thing.id == "knight"]
@@ -342,7 +307,7 @@ def _of_cells(design: Design) -> list[str]:
     return said
 
 
-def _movie(stage: Stage, movie: Movie, tell: Callable[[str, float | None], None]) -> None:
+def _movie(stage: Stage, movie: Movie, tell: Progress) -> None:
     """Draw a movie, each frame labelled with the parameters of its own scene."""
     labels = movie.labels()
     width = movie.frames[0].camera.pixels[0]
@@ -361,7 +326,6 @@ def _first_figure(
     stage: Stage, section: Scene, solids: Scene, *, measured: bool
 ) -> dict[str, tuple[AtlasFinding, ...]]:
     """Figure 1: the section with rays as SVG, and the sheet as a picture; return the findings of both."""
-    from clacad.paper.figure1 import solid_picture
     from clacad.paper.figure1_section import section_svg
 
     stage.path("fig1a.svg").write_text(section_svg(section.design()), encoding="utf-8")

@@ -58,21 +58,13 @@ RAYS = 230
 class Figure:
     """One figure or movie: its scenes and what is measured.
 
-    Parameters
-    ----------
-    row : str
-        Number in the list of the paper's claims.
-    title, `says` : str
+    row : Number in the list of the paper's claims.
     scenes : tuple of (scene file stem, label)
     check : callable(loader) → findings
-    movie : bool
-    ghosts_marked : bool
-        Whether ghosts are drawn in one colour, and its pictures labelled with their content.
-    drawn : tuple of (file stem, label, callable that gives a PNG)
-        Pictures that are no view of a scene.
-    circled : tuple of str
-        Stems of the scenes in whose pictures a circle marks the piece, as the paper does where it is very
-        small.
+    ghosts_marked : Whether ghosts are drawn in one colour, and its pictures labelled with their content.
+    drawn : tuple of (file stem, label, callable that gives a PNG). Pictures that are no view of a scene.
+    circled : Stems of the scenes in whose pictures a circle marks the piece, as the paper does where it is
+        very small.
     """
 
     row: str

@@ -3,9 +3,8 @@
 Figures of non-uniform sheets, beyond the paper's: aimed at an eye, imaging, magnifying, shaping a beam.
 
 Expected numbers are closed forms of thin lenses. A ray from the eye (0, 0, −D) through x of the sheet has the
-slope t = x/D. The sheet's lenses are a distance s apart, its body is T thick. The ray leaves with
-t' = (t − κ C)/η, C the centre of its cell, at x' = x + s t, and meets a screen in z at x' + (z − T) t'.
-Where cells are
+slope t = x/D. The sheet's lenses are a distance s apart, its body is T thick. The ray leaves with t' = (t − κ
+C)/η, C the centre of its cell, at x' = x + s t, and meets a screen in z at x' + (z − T) t'. Where cells are
 not aimed at the eye their light fills one side only. Light through corresponding lenslets then arrives, on
 average, s t/2 from C, and leaves as far on the other side of C + s t.
 
@@ -26,7 +25,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.optics.rays import Fate
+from clacad.optics.rays import Fate, Rays
 from clacad.paper.paper_figures import RAYS, AtlasFinding, Figure, Loader
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import aim, rays
@@ -122,7 +121,6 @@ def _moire(load: Loader) -> Iterator[AtlasFinding]:
 
 def _period(scene: Scene, axis: int) -> float:
     """Length on the sheet over which light changes by one order, from a line through the rays' orders."""
-    from clacad.optics.rays import Fate, Rays
     from clacad.tracing.trace import trace
 
     window = prescribe(scene.design())

@@ -5,10 +5,10 @@ Through lens 1's vertex it reaches array 2 at C + L(a), which becomes the centre
 air, and linear to third order in glass: L(a) = L(0) + k a, with k from the outermost cell. Then
 
     C2 = g C + k P_xy/z_P + L(0)      g = 1 − k/z_P      the lattice scaled and shifted: without gaps
-    vertex 2 in its own cell = (1 − g) C + d − shift (+ the move of `traced_vertices`)
+    vertex 2 in its own cell = (1 − g) C + d − shift
 
-with d the offset of lens 2 from lens 1 as in every sheet: borders move, vertices do not. All cells obey one
-law.
+with d the offset of lens 2 from lens 1 as in every sheet: borders move, vertices do not. The places of cells
+depend on the viewer alone; `clacad.prescription.cells` adds what the law of each cell moves lens 2 by.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
+from clacad.base.vectors import xy
 from clacad.design.sections import LATTICE
-from clacad.prescription.bodies import displacement
+from clacad.prescription.bodies import FieldCells, displacement
 from clacad.prescription.radii import NoSuchLens
-from clacad.prescription.traced_vertices import traced_moves
+from clacad.prescription.sharp_pairs import placed_field
+from clacad.prescription.traced_vertices import field_moves, traced_moves
 from clacad.sheet.cell_places import CellPlacement, VertexChange, row_ends
-from clacad.sheet.vignetting import aperture_slope
-from clacad.sheet.window import Body, Face, Window
+from clacad.sheet.window import Body, Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -51,9 +52,6 @@ beyond, no vertex gives the law.
 TRIED = 200
 """Number of cells whose light is traced to check where it arrives."""
 
-MOST_TRACED = 1_000_000
-"""Greatest number of cells for which a table of vertices is made."""
-
 
 @dataclass(frozen=True)
 class AimPoint:
@@ -67,57 +65,35 @@ class AimPoint:
         return np.asarray((centres - (x, y)) / -z)
 
 
-def aimed(window: Window, design: Design) -> Window:
-    """Return the window with its array 2 aimed.
+def aimed(window: Window, design: Design, field: FieldCells | None = None) -> Window:
+    """Return the window with the cells of its array 2 aimed; lenses stay where they are.
 
-    Parameters
-    ----------
-    window : Window
-        Uniform, with partners aligned (aperture "aligned").
-    design : Design
-
-    Raises
-    ------
-    NoSuchLens
-        CL121: too many vertices to trace; CL122: the viewer is too near; CL123: lens 2 would be too steep.
+    window : Uniform, with partners aligned (aperture "aligned").
+    field : Cells of a field lens.
+    Raises NoSuchLens: CL122: the viewer is too near; CL123: lens 2 would be too steep.
     """
-    aim, built = refuse_aim(window, design)
+    aim, built = refuse_aim(window, design, field)
     thin = _placed(aim, window.lattice, row_ends(window.lattice), _straight(window.thin.offset[2]))
-    table = _table(aim, window) if design.pair.offset != "paraxial" else None
-    change = _vertex_change(built, window.lattice, table)
+    change = _vertex_change(built, window.lattice, field)
+    kept = 1.0 if field is None else 1.0 - field.drift
+    shift = xy(kept * np.subtract(built.shift, window.shifts[1]))
     return replace(
         window,
-        placements=(CellPlacement(), built),
-        bodies=tuple(_moved(body, built.shift, change) for body in window.bodies),
+        placements=(CellPlacement(), built, *window.placements[2:]),
+        bodies=tuple(_moved(body, shift, change) for body in window.bodies),
         thin=replace(
-            window.thin, shift=thin.shift, pitch=thin.pitch, change=_vertex_change(thin, window.lattice, None)
+            window.thin, shift=thin.shift, pitch=thin.pitch, change=_vertex_change(thin, window.lattice)
         ),
     )
 
 
-def traced(window: Window) -> Window:
-    """Return the uniform window with lens 2 moved until light of the field centre leaves as the law requires.
-
-    Raises
-    ------
-    NoSuchLens
-        CL123: no position does it.
-    """
-    move = traced_moves(window, np.array([aperture_slope(window)]))[0]
-
-    def moved(face: Face) -> Face:
-        x, y, z = face.vertex
-        return replace(face, vertex=(x + float(move[0]), y + float(move[1]), z)) if face.array == 1 else face
-
-    bodies = tuple(replace(body, front=moved(body.front), back=moved(body.back)) for body in window.bodies)
-    return replace(window, bodies=bodies)
-
-
-def _landing(window: Window) -> Landing:
+def _landing(window: Window, field: FieldCells | None) -> Landing:
     """Landing function of a pair as built: straight if biconvex, else refracted at lens 1's vertex."""
     faces = [face for face in window.faces if face.array == 1]
     if window.form == "biconvex":
-        return _straight(0.5 * (faces[0].vertex[2] + faces[1].vertex[2]))
+        x, y, z = (0.0, 0.0, 0.0) if field is None else field.added.tolist()  # the plate carries light aside
+        height = 0.5 * (faces[0].vertex[2] + faces[1].vertex[2]) - z
+        return lambda slope: (height * slope[0] + x, height * slope[1] + y)
     height = faces[-1].vertex[2]
     return lambda slope: displacement(slope, np.zeros(2), height, window.bodies)
 
@@ -143,10 +119,11 @@ def _placed(aim: AimPoint, lattice: Lattice, cells: Ints, landing: Landing) -> C
     )
 
 
-def _vertex_change(place: CellPlacement, lattice: Lattice, table: Floats | None) -> VertexChange:
-    """Displacement that keeps lenses aligned with their partners while their cells move."""
+def _vertex_change(place: CellPlacement, lattice: Lattice, field: FieldCells | None = None) -> VertexChange:
+    """Displacement that keeps lenses aligned with their partners, or the law, while their cells move."""
     gx, gy = place.scale(lattice)
-    return VertexChange(((1.0 - gx, 0.0), (0.0, 1.0 - gy)), table)
+    kept = 1.0 if field is None else 1.0 - field.drift
+    return VertexChange(((kept * (1.0 - gx), 0.0), (0.0, kept * (1.0 - gy))))
 
 
 def _moved(body: Body, shift: Pair2, change: VertexChange) -> Body:
@@ -160,41 +137,22 @@ def _moved(body: Body, shift: Pair2, change: VertexChange) -> Body:
     return replace(body, front=faces[0], back=faces[1])
 
 
-def _table(aim: AimPoint, window: Window) -> Floats:
-    """Moves (n1, n2, 2) of lens 2 in every cell, lengths; 0 in cells that are not kept."""
-    lattice = window.lattice
-    cells = lattice.cells()
-    table = np.zeros((*lattice.count, 2))
-    place = cells[:, 0] + cells[:, 1] // 2 if lattice.hexagonal else cells[:, 0]
-    table[place, cells[:, 1]] = traced_moves(window, aim.slopes(lattice.centres(cells)))
-    return table
-
-
 # -- what is refused ---------------------------------------------------------------------------
 
 
-def refuse_aim(window: Window, design: Design) -> tuple[AimPoint, CellPlacement]:
+def refuse_aim(
+    window: Window, design: Design, field: FieldCells | None = None
+) -> tuple[AimPoint, CellPlacement]:
     """Point and placement of array 2's cells for it; parameters and refusals are those of `aimed`."""
     aim = AimPoint(design.lattice.aperture.point)  # type: ignore[union-attr]
-    _refuse_table(design)
     _refuse_near(aim, window)
     cells = row_ends(window.lattice)
-    built = _placed(aim, window.lattice, cells, _landing(window))
-    _refuse_steep(aim, window, design, built, cells)
-    _refuse_stray(aim, window, built, cells)
+    landing = _landing(window, field)
+    built = _placed(aim, window.lattice, cells, landing)
+    if design.law_spec.varying is None:  # else each cell's own lens decides, `cells`
+        _refuse_steep(aim, window, design, built, field)
+    _refuse_stray(aim, window, built, cells, landing)
     return aim, built
-
-
-def _refuse_table(design: Design) -> None:
-    """Refuse more vertices than a table holds; CL121."""
-    cells = design.lattice.count[0] * design.lattice.count[1]
-    if design.pair.offset != "paraxial" and cells > MOST_TRACED:
-        raise NoSuchLens(
-            f"a sheet aimed at a point cannot have a table of more than {MOST_TRACED} vertices",
-            key=LATTICE.count,
-            code="CL121",
-            hint='pair.offset = "paraxial", or fewer cells',
-        )
 
 
 def _refuse_near(aim: AimPoint, window: Window) -> None:
@@ -210,11 +168,18 @@ def _refuse_near(aim: AimPoint, window: Window) -> None:
         )
 
 
-def _refuse_steep(aim: AimPoint, window: Window, design: Design, place: CellPlacement, cells: Ints) -> None:
+def _refuse_steep(
+    aim: AimPoint, window: Window, design: Design, place: CellPlacement, field: FieldCells | None
+) -> None:
     """Refuse use of lens 2 too far from its vertex; CL123, with the viewer's distance that works."""
+    cells, landing = row_ends(window.lattice), _landing(window, field)
     cell, far = _farthest(aim, window, place, cells)
     if design.pair.offset != "paraxial":
-        far = far + traced_moves(window, aim.slopes(window.lattice.centres(cell)[None]))[0]
+        moves = None
+        if field is not None:
+            placed = replace(window, placements=(CellPlacement(), place, *window.placements[2:]))
+            moves = field_moves(window, placed_field(placed, field, window.shifts[1]), cell[None])
+        far = far + traced_moves(window, aim.slopes(window.lattice.centres(cell)[None]), moves)[0]
     half, radius = 0.5 * min(window.lattice.pitch), _least_radius(window)
     used = float(np.hypot(*far)) + half
     if used > STEEPEST * radius:
@@ -223,13 +188,13 @@ def _refuse_steep(aim: AimPoint, window: Window, design: Design, place: CellPlac
             f" {used / radius:.2f} of its radius {radius:.4g}, where at most {STEEPEST:g} sends light right",
             key=LATTICE.aperture,
             code="CL123",
-            hint=_way_out(aim, window, cells),
+            hint=_way_out(aim, window, cells, landing),
         )
 
 
-def _refuse_stray(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> None:
+def _refuse_stray(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints, landing: Landing) -> None:
     """Refuse cells of array 2 farther than p/100 from their light; CL123."""
-    off, (x, y) = _stray(aim, window, place, cells)
+    off, (x, y) = _stray(aim, window, place, cells, landing)
     if off > OFF * min(window.lattice.pitch):
         raise NoSuchLens(
             f"at ({x:.4g}, {y:.4g}) the light of the viewer would land {off:.4g} from the middle of its cell"
@@ -237,14 +202,14 @@ def _refuse_stray(aim: AimPoint, window: Window, place: CellPlacement, cells: In
             " only scaled",
             key=LATTICE.aperture,
             code="CL123",
-            hint=_way_out(aim, window, cells),
+            hint=_way_out(aim, window, cells, landing),
         )
 
 
 def _farthest(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> tuple[Ints, Floats]:
     """Cell (2,) with lens 2 farthest from its centre, and its position (2,), paraxial, lengths."""
     vertex = next(face.vertex for face in window.faces if face.array == 1)
-    places = _vertex_change(place, window.lattice, None).at(window.lattice, cells) + np.subtract(
+    places = _vertex_change(place, window.lattice).at(window.lattice, cells) + np.subtract(
         vertex[:2], place.shift
     )
     worst = int(np.argmax(np.hypot(*places.T)))
@@ -259,9 +224,11 @@ def _least_radius(window: Window) -> float:
     return 1.0 / max(bent)
 
 
-def _stray(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> tuple[float, Floats]:
+def _stray(
+    aim: AimPoint, window: Window, place: CellPlacement, cells: Ints, landing: Landing
+) -> tuple[float, Floats]:
     """Greatest distance of light from its cell of array 2, length, and the point where it enters (2,)."""
-    centres, landing = window.lattice.centres(cells), _landing(window)
+    centres = window.lattice.centres(cells)
     foot = np.array(aim.point[:2])
     # the cubic term is greatest at 1/√3 of the distance from the point's foot to the outermost cell
     tried = np.concatenate([centres, foot + (centres - foot) / np.sqrt(3.0)])
@@ -271,15 +238,17 @@ def _stray(aim: AimPoint, window: Window, place: CellPlacement, cells: Ints) -> 
     return float(np.max(off)), tried[int(np.argmax(off))]
 
 
-def _way_out(aim: AimPoint, window: Window, cells: Ints) -> str:
+def _way_out(aim: AimPoint, window: Window, cells: Ints, landing: Landing) -> str:
     """Describe the nearest feasible viewer distance, at four digits, and alternatives."""
     half, radius = 0.5 * min(window.lattice.pitch), _least_radius(window)
 
     def works(z: float) -> bool:
         trial = AimPoint((aim.point[0], aim.point[1], z))
-        place = _placed(trial, window.lattice, cells, _landing(window))
+        place = _placed(trial, window.lattice, cells, landing)
         used = float(np.hypot(*_farthest(trial, window, place, cells)[1])) + half
-        return used <= STEEPEST * radius and _stray(trial, window, place, cells)[0] <= OFF * 2.0 * half
+        return (
+            used <= STEEPEST * radius and _stray(trial, window, place, cells, landing)[0] <= OFF * 2.0 * half
+        )
 
     z, grown = aim.point[2], 1.0
     while not works(z * grown):

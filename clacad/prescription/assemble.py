@@ -11,7 +11,7 @@ import numpy as np
 from clacad.base.types import Floats, Pair2
 from clacad.design.faces import faces_digest
 from clacad.design.sections import AimedAt
-from clacad.prescription.bodies import displacement
+from clacad.prescription.bodies import FieldCells, displacement
 from clacad.prescription.field_lens import thin_field
 from clacad.prescription.intent import Intent, separation_of
 from clacad.prescription.plates import inside_both, with_land, with_plate
@@ -29,20 +29,20 @@ def assemble_window(
     moved: Pair2,
     lenses: LensPair,
     offset: Floats,
-    field: Pair2 | None = None,
+    field: FieldCells | None = None,
     told: Mapping[str, Any] | None = None,
 ) -> Window:
     """Window of placed bodies: thin pair, land, outline; lengths in design units.
 
-    moved : displacement of array 2's cells; offset : (2,) of lens 2 off lens 1's axis; field : displacement
-    of the field lens's cells; `told` : the recipe's entries for the field lens.
+    moved : displacement of array 2's cells; offset : (2,) of lens 2 off lens 1's axis; field : cells of
+    the field lens; `told` : the recipe's entries for the field lens.
     """
     design = intent.design
-    shifts = (0.0, 0.0), moved, *(() if field is None else (field,))
+    shifts = (0.0, 0.0), moved, *(() if field is None else (field.shift,))
     window = Window(
         # the form as built
         form="plano" if design.pair.form == "slab" and len(bodies) == 3 else design.pair.form,
-        bodies=tuple(replace(body, material=body.material or intent.material) for body in bodies),
+        bodies=bodies,
         lattice=intent.lattice,
         placements=tuple(map(CellPlacement, shifts)),
         unit=design.unit_m,
@@ -55,7 +55,10 @@ def assemble_window(
         recipe={**_recipe(intent, lenses, offset), **({} if told is None else {"field": told})},
         name=design.name,
     )
-    window = _own_places(window, design)
+    if _non_uniform(design) or design.pair.offset == "traced":
+        from clacad.prescription.cells import with_own_cells
+
+        window = with_own_cells(window, design, field)
     window = inside_both(replace(window, outline=side_outline(window)))
     return with_land(with_plate(window, design.body), design.lattice.seam_depth)
 
@@ -71,30 +74,14 @@ def _thin_pair(intent: Intent, with_field: bool) -> ThinPair:
     return ThinPair(focal, (x, y, z), intent.turn, shift, field=field)
 
 
-def _own_places(window: Window, design: Design) -> Window:
-    """Window with lenses moved for a varying law, focus, pitch 2, viewer or traced offset, if requested."""
-    aperture = design.lattice.aperture
-    if design.law_spec.varying is not None:
-        from clacad.prescription.varying_cells import with_varying_law
-
-        return with_varying_law(window, design)
-    if design.pair.focus is not None:
-        from clacad.prescription.sharp_pairs import with_focus
-
-        return with_focus(window, design)
-    if design.lattice.pitch_2 is not None or design.lattice.rotation_2:
-        from clacad.prescription.sharp_pairs import with_pitch_2
-
-        return with_pitch_2(window, design)
-    if isinstance(aperture, AimedAt):
-        from clacad.prescription.aimed_cells import aimed
-
-        return aimed(window, design)
-    if design.pair.offset == "traced":
-        from clacad.prescription.aimed_cells import traced
-
-        return traced(window)
-    return window
+def _non_uniform(design: Design) -> bool:
+    """Whether a design requests a non-uniform sheet."""
+    lattice = design.lattice
+    return (
+        isinstance(lattice.aperture, AimedAt)
+        or (design.law_spec.varying, design.pair.focus, lattice.pitch_2) != (None, None, None)
+        or bool(lattice.rotation_2)
+    )
 
 
 def _recipe(intent: Intent, lenses: LensPair, offset: Floats) -> Mapping[str, Any]:

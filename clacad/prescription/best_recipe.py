@@ -20,52 +20,67 @@ from math import inf
 import numpy as np
 
 from clacad.base.types import Bools, Floats
+from clacad.design.sections import AimedAt
 from clacad.optics.fit import AskedLight, law_residuals, minimise
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import STEP, parabasal, trace_sequence
 from clacad.prescription.bodies import shallower
 from clacad.prescription.cell_heights import window_range
-from clacad.prescription.intent import Intent
-from clacad.sheet.bundle import asked_power, bundle
+from clacad.prescription.intent import Intent, untraced
+from clacad.sheet.bundle import RequestedLaw, asked_power, bundle
 from clacad.sheet.like_cell import interfaces
 from clacad.sheet.window import Window
 
 RAYS = 4096
 
 
-def best_scale(intent: Intent, build: Callable[[float], Window]) -> Window:
+def best_scale(intent: Intent, build: Callable[[Intent, float], Window]) -> Window:
     """Build with the scale of the radii of least rms law error where "best" is requested, else with 1.
 
-    Parameters
-    ----------
-    intent : Intent
-    build : callable
-        Scale of the radii → Window.
+    On a non-uniform sheet the scale is that for the light of the middle cell; the cells are then built with
+    it.
 
-    Returns
-    -------
-    Window
-        Recipe "best" records the scale and the rms error before and after (radians).
+    build : Intent and scale of the radii → Window.
+    Returns: Recipe "best" records the scale and the rms error before and after (radians).
     """
-    start = build(1.0)
     pair = intent.design.pair
     if pair.given or pair.confocal != "best":
-        return start
-    light = _light(intent, start)
+        return build(intent, 1.0)
+    middle = _of_middle(intent)
+    start = build(middle, 1.0)
+    light = _light(middle, start)
 
     def residuals(scale: Floats) -> Floats:
-        return law_residuals(interfaces(build(float(scale[0]))), light)
+        return law_residuals(interfaces(build(middle, float(scale[0]))), light)
 
     scale = float(minimise(residuals, np.ones(1))[0])
-    window = build(scale)
+    end = build(middle, scale)
     left = {
         "confocal": "best",
         "scale": scale,
         "law_rms_start": float(np.linalg.norm(law_residuals(interfaces(start), light))),
-        "law_rms_end": float(np.linalg.norm(law_residuals(interfaces(window), light))),
+        "law_rms_end": float(np.linalg.norm(law_residuals(interfaces(end), light))),
     }
+    window = end if middle is intent else build(intent, scale)
     return replace(window, recipe={**window.recipe, **left})
+
+
+def _of_middle(intent: Intent) -> Intent:
+    """Intent whose cells are all the middle one, with lenses placed paraxially; that of a uniform sheet
+    itself.
+    """
+    design = intent.design
+    aperture, lattice = design.lattice.aperture, design.lattice
+    aims = isinstance(aperture, AimedAt)
+    if not (aims or design.law_spec.varying or lattice.pitch_2 or lattice.rotation_2):
+        return intent
+    if isinstance(aperture, AimedAt):
+        x, y, z = aperture.point
+        aperture = x / z + 0.0, y / z + 0.0
+    lattice = replace(lattice, aperture=aperture, pitch_2=None, rotation_2=0.0)
+    alike = replace(design, law_spec=replace(design.law_spec, varying=None), lattice=lattice)
+    return untraced(replace(intent, design=alike))
 
 
 def _light(intent: Intent, window: Window) -> AskedLight:
@@ -73,11 +88,12 @@ def _light(intent: Intent, window: Window) -> AskedLight:
     one = window.with_cells((1, 1))
     one = replace(one, z_range=window_range(one))  # the rays start below it
     check = intent.design.check
-    rays = bundle(one, RAYS, check.field, check.field_centre).rays
+    lit = bundle(one, RAYS, check.field, check.field_centre)
+    rays, expected = lit.rays, RequestedLaw.of(window).expected(lit)
     kept = _to_partner(window, rays)
     if kept.any():
-        rays = Rays(rays.position[kept], rays.direction[kept])
-    return AskedLight.of(rays, window.law.refract(rays.direction))
+        rays, expected = Rays(rays.position[kept], rays.direction[kept]), expected[kept]
+    return AskedLight.of(rays, expected)
 
 
 def _to_partner(window: Window, rays: Rays) -> Bools:
@@ -117,10 +133,7 @@ def residual(window: Window) -> dict[str, float]:
     """Parabasal law error (radians) and decollimation over half a cell (radians) of a window, minus requested
     power.
 
-    Returns
-    -------
-    dict
-        Both are infinite where the axis ray is lost.
+    Returns: Both are infinite where the axis ray is lost.
     """
     rotation = window.thin.rotation
     asked = window.law.refract(rotation[:, 2][None])[0]

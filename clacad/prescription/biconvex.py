@@ -11,9 +11,9 @@ from clacad.base.types import Pair2
 from clacad.design.sections import BODY, LATTICE
 from clacad.prescription.assemble import assemble_window
 from clacad.prescription.best_recipe import best_scale
-from clacad.prescription.bodies import LensPose, biconvex_body, displacement, given_pair
+from clacad.prescription.bodies import LensPose, Listed, bodies_of, displacement, given_pair, lens_face
 from clacad.prescription.cell_heights import auto_thickness
-from clacad.prescription.field_lens import Chief, one_plate, plate_body, symmetric_foci
+from clacad.prescription.field_lens import Chief, one_plate, plate_faces, starts_aligned, symmetric_foci
 from clacad.prescription.intent import Intent, separation_of, untraced
 from clacad.prescription.radii import LensPair, NoSuchLens, biconvex_exact, biconvex_thin, thin_focal_lengths
 from clacad.sheet.window import Window
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 def biconvex(intent: Intent) -> Window:
     """Window of two biconvex (or concave) lenses."""
     thickness = _solved(intent)
-    window = best_scale(intent, lambda scale: _with_thickness(intent, thickness, scale))
+    window = best_scale(intent, lambda asked, scale: _with_thickness(asked, thickness, scale))
     _refuse_land_without_plate(intent.design, window)
     return window
 
@@ -85,25 +85,31 @@ def _with_thickness(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     if plate is not None:
         added = plate.added(intent.index) * intent.turn[:, 2]
         lens_2 = lens_2 + added
-        if intent.design.lattice.aperture != "aligned":  # the plate carries the ray to cell 2 along the axis
+        if not starts_aligned(
+            intent.design.lattice.aperture
+        ):  # the plate carries the ray to cell 2 along the axis
             moved = (moved[0] + float(added[0]), moved[1] + float(added[1]))
     relative = lens_2 - np.array([*moved, 0.0])
     webs = (_web(intent, lenses, k, z) for k, z in enumerate((0.0, float(relative[2]))))
-    poses = (LensPose(point, intent.turn) for point in (np.zeros(3), relative))
-    bodies = tuple(
-        biconvex_body(lenses, k, pose, intent.shape, intent.index, web)
-        for k, (pose, web) in enumerate(zip(poses, webs, strict=True))
-    )
+    faces: list[Listed] = []
+    for k, (point, web) in enumerate(zip((np.zeros(3), relative), webs, strict=True)):
+        pose, half = LensPose(point, intent.turn), 0.5 * lenses.thickness[k]
+        front, back = (
+            lens_face(intent.shape.face(lenses.radius[k], side, k), pose, k, -side * half, land)
+            for side, land in zip((+1, -1), web, strict=True)
+        )
+        faces += [(front, intent.glass(f"array{k + 1}")), (back, None)]
     if plate is None:
-        return assemble_window(intent, bodies, moved, lenses, offset)
+        return assemble_window(intent, bodies_of(intent.listed(faces)), moved, lenses, offset)
     axis = intent.turn[:, 2]
     height = float(relative @ axis) / axis[2]
     reduced = ideal.focal_length[0][0] + ideal.focal_length[1][0]
     chief = Chief.of(intent, (np.array([*moved, height]) @ intent.turn)[:2], reduced)
-    legs = ((min(ideal.focal_length[0]), 1.0), (plate.thickness, intent.index))
-    field, shift = plate_body(intent, plate, (chief.across(legs[:1]), chief.across(legs)))
-    bodies = (bodies[0], field, bodies[1])
-    return assemble_window(intent, bodies, moved, lenses, offset, shift, plate.told)
+    near, through = min(ideal.focal_length[0]), plate.thickness / intent.index
+    legs = ((near, 1.0), (plate.thickness, intent.index), (reduced - near - through, 1.0))
+    field, cells = plate_faces(intent, plate, chief, legs, 1)
+    bodies = bodies_of(intent.listed([*faces[:2], *field, *faces[2:]]))
+    return assemble_window(intent, bodies, moved, lenses, offset, cells, plate.told)
 
 
 def _lenses(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
@@ -112,14 +118,15 @@ def _lenses(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
     if pair.given:
         return given_pair(pair, thickness, index)
     if pair.focus is not None:
-        from clacad.prescription.sharp_pairs import sharp_thick_lenses
+        from clacad.prescription.sharp_pairs import sharp_thick_lenses, sharp_thin_lenses
 
-        return sharp_thick_lenses(intent.eta, separation, pair.focus, thickness, index)
+        sharp = sharp_thick_lenses if pair.confocal == "exact" else sharp_thin_lenses
+        return sharp(intent.eta, separation, pair.focus, thickness, index)
     recipe = biconvex_exact if pair.confocal == "exact" else biconvex_thin
     return recipe(intent.eta, separation, thickness, index)
 
 
-def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 | None:
+def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 | tuple[None, None]:
     """Front and back z of the plate that joins an array's lenslets; None: no plate, a concave lens."""
     spec = intent.design
     bordered = spec.body.apart or spec.lattice.outline is not None
@@ -130,5 +137,5 @@ def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 
     if spec.pair.given:
         radii = tuple(r for face in spec.pair.face[spec.pair.lens_faces(number)] for r in face.radius)
     if web == 0.0 or any(r < 0.0 for r in radii):
-        return None
+        return None, None
     return centre - 0.5 * web, centre + 0.5 * web

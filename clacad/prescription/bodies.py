@@ -7,10 +7,11 @@ is given too.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from math import asin, copysign, inf, isinf, sqrt
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,30 +20,24 @@ from clacad.design.faces import FaceSpec
 from clacad.design.sections import LAW, AimedAt, PairSpec
 from clacad.optics.law import Law, rotation
 from clacad.optics.sequence import STEP, parabasal
-from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, as_quadric, refract
+from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, refract, simplest
 from clacad.prescription.radii import LensPair, NoSuchLens
 from clacad.sheet.face_order import refractions
 from clacad.sheet.like_cell import interfaces
 from clacad.sheet.window import IDENTITY, Body, Face, Surface, Window
 
+if TYPE_CHECKING:
+    from clacad.optics.material.material import Material
+
 # -- faces -----------------------------------------------------------------------------------------
-
-
-class Shaping(Protocol):
-    """Source of the faces of a lens."""
-
-    def face(self, radius: Pair2, side: int, lens: int) -> Surface:
-        """Face of lens 0 or 1 on the given side (±1); `radius` (lengths) as computed by the recipe."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
     """Form of a curved face beyond its apex radii.
 
-    conic : (K_x, K_y) or None
-        None: the paper's ellipsoid, one κ for both meridians; else a biconic.
-    depth : (1/κ of lens 1, of lens 2) or None, lengths
-        None: κ = sign · sqrt(c_x c_y).
+    conic : (K_x, K_y) or None. None: the paper's ellipsoid, one κ for both meridians; else a biconic.
+    depth : (1/κ of lens 1, of lens 2) or None, lengths. None: κ = sign · sqrt(c_x c_y).
     """
 
     conic: Pair2 | None
@@ -64,43 +59,12 @@ class Shape:
         return cx + cy if cx == 0.0 or cy == 0.0 else 0.0  # circular cylinder; saddle
 
 
-@dataclass(frozen=True, slots=True)
-class GivenFaces:
-    """Faces in the order light reaches them, a field lens's in the middle; an alternative to
-    `Shape`.
-
-    form : "biconvex", "plano" or "slab"
-    """
-
-    form: str
-    faces: tuple[FaceSpec, ...]
-
-    def number(self, side: int, lens: int) -> int:
-        """Index among the given faces of the face on the given side (±1) of lens 0 or 1."""
-        last = len(self.faces) - 1
-        if self.form == "slab" and last < 5:  # one face per lens, with or without field faces between
-            return last * lens
-        return (last - 1) * lens + (side < 0)
-
-    def of_field(self, side: int, after: int) -> Surface:
-        """Face number `after` of the field lens, on the given side (±1)."""
-        return given_surface(self.faces[(len(self.faces) - 2) // 2 + after], side)
-
-    def face(self, radius: Pair2, side: int, lens: int) -> Surface:
-        """Given face of lens 0 or 1 on the given side; the recipe's `radius` is ignored."""
-        return given_surface(self.faces[self.number(side, lens)], side)
-
-
 def given_surface(face: FaceSpec, side: int) -> Surface:
     """Surface of a given face: a quadric where the face is one."""
     (cx, cy), (kx, ky) = face.curvature, face.conic
     if face.polynomial:
         return EvenPolynomial(cx, cy, kx, ky, face.a4, side, face.a6, face.a8)
-    biconic = Biconic(cx, cy, kx, ky, side)
-    try:
-        return as_quadric(biconic)
-    except ValueError:
-        return biconic
+    return simplest(Biconic(cx, cy, kx, ky, side))
 
 
 def given_pair(pair: PairSpec, thickness: Pair2, index: float) -> LensPair:
@@ -137,9 +101,7 @@ def given_conics(surface: Surface) -> Pair2:
 def refuse_crossed(pair: PairSpec) -> None:
     """Refuse a pair of one cylinder in x and one in y: no law relates the light before and behind them.
 
-    Raises
-    ------
-    NoSuchLens
+    Raises NoSuchLens.
     """
     powers = [
         [any(face.curvature[axis] != 0.0 for face in pair.face[pair.lens_faces(lens)]) for axis in (0, 1)]
@@ -177,55 +139,55 @@ class LensPose:
         return float(x), float(y), float(z)
 
 
-def biconvex_body(
-    lenses: LensPair,
-    number: int,
-    pose: LensPose,
-    shape: Shaping,
-    index: float,
-    land: tuple[float, float] | None,
-) -> Body:
-    """Lens `number` (0, 1) of a biconvex pair, apexes T/2 either side of its centre.
+@dataclass(frozen=True, slots=True)
+class Medium:
+    """Material of a body, and the body's name; `index` at the design wavelength."""
 
-    land : (front z, back z) of the web, or None
+    index: float
+    name: str
+    material: Material | None = None
+
+
+Listed = tuple[Face, Medium | None]
+"""A face and what lies behind it; None is air."""
+
+
+def lens_face(
+    surface: Surface, pose: LensPose, array: int, along: float = 0.0, land: float | None = None
+) -> Face:
+    """Lens of an array on the axis of a pose, `along` (length) behind its point."""
+    return Face(surface, pose.vertex(along), shared(pose.rotation), array, land)
+
+
+def bodies_of(faces: Sequence[Listed], moved: Pair2 = (0.0, 0.0)) -> tuple[Body, ...]:
+    """Bodies between faces listed in the order of the light.
+
+    A face between two media is a joint: the body behind it has the points of the one before.
+
+    moved : displacement of the cells of array 2 (lengths); the faces are listed in the frame of cell 1
     """
-    half = 0.5 * lenses.thickness[number]
-    radius = lenses.radius[number]
-    front_land, back_land = (None, None) if land is None else land
-    return Body(
-        Face(shape.face(radius, +1, number), pose.vertex(-half), shared(pose.rotation), number, front_land),
-        Face(shape.face(radius, -1, number), pose.vertex(+half), shared(pose.rotation), number, back_land),
-        index,
-        f"array{number + 1}",
-    )
+    found: list[Body] = []
+    joined = False
+    for (front, medium), (back, _) in pairwise([(_in_cell(face, moved), behind) for face, behind in faces]):
+        if medium is not None:
+            front = found[-1].back.seen_from_behind if joined else front
+            found.append(Body(front, back, medium.index, medium.name, medium.material, joined))
+        joined = medium is not None
+    return tuple(found)
 
 
-def plano_body(
-    lenses: LensPair,
-    number: int,
-    pose: LensPose,
-    shape: Shaping,
-    index: float,
-    curved_front: bool,
-    plane_z: float,
-) -> Body:
-    """Lens `number` of a plano pair: a curved face at its point, a plane parallel to the sheet."""
-    side = +1 if curved_front else -1
-    curved = Face(
-        shape.face(lenses.radius[number], side, number), pose.vertex(0.0), shared(pose.rotation), number
-    )
-    plane = Face(Quadric(0.0, 0.0, 0.0, -side), (0.0, 0.0, plane_z))
-    front, back = (curved, plane) if curved_front else (plane, curved)
-    return Body(front, back, index, f"array{number + 1}")
+def _in_cell(face: Face, moved: Pair2) -> Face:
+    """Face of array 2 in the frame of its own cell; any other face as it is."""
+    x, y, z = face.vertex
+    return replace(face, vertex=(x - moved[0], y - moved[1], z)) if face.array == 1 else face
 
 
-def slab_body(lenses: LensPair, poses: tuple[LensPose, LensPose], shape: Shaping, index: float) -> Body:
-    """One body with both arrays on its faces, each lens at its own pose (lengths)."""
-    front, back = (
-        Face(shape.face(lenses.radius[k], side, k), poses[k].vertex(0.0), shared(poses[k].rotation), k)
-        for k, side in ((0, +1), (1, -1))
-    )
-    return Body(front, back, index, "sheet")
+def placed(
+    aperture: str | Pair2 | AimedAt, faces: Sequence[Listed], lens_2: Floats
+) -> tuple[tuple[Body, ...], Pair2]:
+    """Bodies of faces with lens 2 at `lens_2` (3,), and the displacement of array 2's cells, lengths."""
+    moved = displacement(aperture, lens_2[:2], float(lens_2[2]), bodies_of(faces))
+    return bodies_of(faces, moved), moved
 
 
 def shared(rotation: Floats) -> Floats:
@@ -241,10 +203,7 @@ def plano_outside_axis(turn: Floats, index: float, thickness: Pair2, gap: float)
 
     `thickness` and `gap` are perpendicular to the sheet, as a caliper measures them.
 
-    Raises
-    ------
-    NoSuchLens
-        The axis ray is totally reflected at the plane face.
+    Raises NoSuchLens: The axis ray is totally reflected at the plane face.
     """
     axis = turn[:, 2]
     up = np.array([[0.0, 0.0, 1.0]])
@@ -269,10 +228,8 @@ def best_gap(build: Callable[[float], Window], turn: Floats, guess: float) -> fl
     """Air gap (length) with the least power about the axis ray, by secant steps on the least-squares
     condition.
 
-    build : callable
-        Gap (length) → window.
-    turn : (3, 3)
-        Lens → sheet; lens 1's apex is the origin.
+    build : Gap (length) → window.
+    turn : (3, 3). Lens → sheet; lens 1's apex is the origin.
     """
 
     def power(gap: float) -> Floats:
@@ -297,15 +254,10 @@ def displacement(
 ) -> Pair2:
     """Displacement of the cells of array 2 (lengths).
 
-    Parameters
-    ----------
     aperture : "centred", "aligned", (ax, ay) or AimedAt (cells placed by `clacad.prescription.aimed_cells`)
-    lateral : (2,)
-        Lens 2's own lateral displacement.
-    height : float
-        Height of centre 2 over centre 1.
-    bodies : tuple of Body
-        Bodies whose refraction between the reference points bends the chief ray (slab, plano): the ray
+    lateral : (2,). Lens 2's own lateral displacement.
+    height : Height of centre 2 over centre 1.
+    bodies : Bodies whose refraction between the reference points bends the chief ray (slab, plano): the ray
         through lens 1's vertex then carries (ax, ay), the slope in air at the centre of the field of view.
         Without them (biconvex pair) the ray is straight and the displacement is height · (ax, ay).
     """
@@ -336,3 +288,31 @@ def _chief_landing(bodies: tuple[Body, ...], slope: Floats, height: float) -> tu
         index = after
     position = position + ray[0] / ray[0, 2] * (height - position[2])
     return float(position[0]), float(position[1])
+
+
+@dataclass(frozen=True, eq=False)
+class FieldCells:
+    """Cells of a field lens in the middle of the sheet, and what other cells need.
+
+    shift : (x, y), lengths. Displacement of the cells.
+    share : (2, 2). Place of the cells on the line from cell 1 to cell 2: 0 and 1 are its ends; sheet axes.
+    faces : tuple of (2, 2). The same of the vertex of each field face, in the order of the light.
+    added : (3,) lengths. Displacement of lens 2 because of the field plate.
+    drift : Displacement of lens 2 from lens 1's axis that keeps the law, over that of its cell.
+    focal : (x, y) or None, lengths. Displacement of lens 2 over δ; None: the focal length of lens 1.
+    """
+
+    shift: Pair2
+    share: Floats
+    faces: tuple[Floats, ...]
+    added: Floats
+    drift: float = 0.0
+    focal: Pair2 | None = None
+
+    @property
+    def spread_focal(self) -> Pair2 | None:
+        """As `focal`, where the cell of lens 2 is displaced with it, and so the slope of its light."""
+        if self.focal is None:
+            return None
+        x, y = (one / (1.0 - self.drift) for one in self.focal)
+        return x, y

@@ -93,10 +93,7 @@ def face_range(window: Window, face: Face) -> tuple[float, float]:
 
     The range of samples and of the point whose normal is the sheet's normal, where it lies in the zone.
 
-    Raises
-    ------
-    NoSuchLens
-        The lens has no point over the zone.
+    Raises NoSuchLens: The lens has no point over the zone.
     """
     points = zone_points(window, face.array or 0)
     heights = [
@@ -175,7 +172,7 @@ def _points_range(window: Window, body: Body) -> tuple[float, float]:
                 level = _level_point(window, face)
                 # the extreme point of a lens below its land is not part of the surface
                 if face.land is not None and len(level):
-                    sunk = level[0] > face.land if face.side > 0 else level[0] < face.land
+                    sunk = level[0] > face.land if face.land_side > 0 else level[0] < face.land
                     level = level[:0] if sunk else level
                 heights += [float(v) for v in level]
     return min(heights), max(heights)
@@ -184,20 +181,11 @@ def _points_range(window: Window, body: Body) -> tuple[float, float]:
 def auto_thickness(build: Callable[[Pair2], Window], guess: Pair2, neck: float, limit: float) -> Pair2:
     """Solve for the thicknesses of a biconvex pair together with its radii.
 
-    Parameters
-    ----------
-    build : callable
-        Thicknesses → window (radii solved for them).
+    build : Thicknesses → window (radii solved for them).
     guess : (T1, T2), lengths
-    neck : float
-        Least common height of neighbouring columns (length).
-    limit : float
-        Thickness at which the search stops (length).
-
-    Raises
-    ------
-    NoSuchLens
-        No thickness below `limit` joins the lenslets.
+    neck : Least common height of neighbouring columns (length).
+    limit : Thickness at which the search stops (length).
+    Raises NoSuchLens: No thickness below `limit` joins the lenslets.
 
     Notes
     -----
@@ -224,11 +212,13 @@ def auto_thickness(build: Callable[[Pair2], Window], guess: Pair2, neck: float, 
 def _missing(window: Window, number: int, neck: float) -> float:
     """Additional thickness that the lens needs (negative: it may be thinner), length."""
     body = window.bodies[-number]  # first or last: a field lens has its own thickness
-    spare = least_thickness(window, body) - neck
-    if window.land.seam == 0.0:
-        spare = min(spare, border_overlap(window, body) - neck)
-    proud = proud_of_land(window, body)  # both faces rise by half of the increase of T
-    spare = min(spare, 2.0 * proud)
+    spare = np.inf
+    for one in _bodies_that_differ(window, body):
+        spare = min(spare, least_thickness(window, one) - neck)
+        if window.land.seam == 0.0:
+            spare = min(spare, border_overlap(window, one) - neck)
+        proud = proud_of_land(window, one)  # both faces rise by half of the increase of T
+        spare = min(spare, 2.0 * proud)
     if spare == -float("inf"):
         return window.lattice.circumradius  # a lens ends inside its cell: a thicker lens reaches farther
     return -spare / float(window.thin.rotation[2, 2])
@@ -237,10 +227,8 @@ def _missing(window: Window, number: int, neck: float) -> float:
 def refuse_no_faces(window: Window) -> None:
     """Refuse given faces that have no height somewhere over their cell, or that cross there.
 
-    Raises
-    ------
-    NoSuchLens
-        A face has no real height somewhere over its cell, or front and back of a body without land intersect.
+    Raises NoSuchLens: A face has no real height somewhere over its cell, or front and back of a body without
+        land intersect.
     """
     number = -1
     for body in window.bodies:
@@ -249,8 +237,10 @@ def refuse_no_faces(window: Window) -> None:
                 continue
             number += 1
             if face.array is not None:
-                _refuse_no_height(window, face, number)
-        _refuse_crossing(window, body, number)
+                for one in faces_that_differ(window, face) if window.many_sizes else [face]:
+                    _refuse_no_height(window, one, number)
+        for thin in _bodies_that_differ(window, body) if window.many_sizes else [body]:
+            _refuse_crossing(window, thin, number)
 
 
 def _refuse_no_height(window: Window, face: Face, number: int) -> None:

@@ -2,30 +2,55 @@
 
 Nothing is solved but the place of array 2: its vertex from delta, its cells from the aperture. Bodies are the
 media other than air; a face between two of them is a joint.
+
+`pair.layers` of a slab are solved into such a list, with flat joints. Both lenses are of the outer material,
+of index n and V = (n − 1)/Δn, Δn the change of an index between the outermost lines of [light]. With
+thicknesses T_i and indices n_i of the layers,
+
+    Σ T_i/n_i = s,    Σ (T_i/n_i)(Δn_i/n_i) = s/V.
+
+The first keeps the pair afocal at the design wavelength, f1 = s/(1 − η), f2 = −η f1 and R = (n − 1) f. The
+second keeps it afocal in both lines. It holds at every η, for both meridians have the same sum.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, cast
+from itertools import pairwise
+from math import asin
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
-from clacad.base.units import A4, A6, A8
-from clacad.design.faces import AIR, FaceSpec, vertices_of
-from clacad.design.sections import PAIR
+from clacad.design.faces import AIR, FaceSpec, face_table, vertices_of
+from clacad.design.sections import LAW, PAIR
+from clacad.optics.law import rotation
 from clacad.optics.material.catalogue import find
 from clacad.optics.material.material import Material
 from clacad.optics.surface import Surface
+from clacad.optics.surface.sag_and_normal import other_side
 from clacad.prescription.assemble import assemble_window
-from clacad.prescription.bodies import LensPose, displacement, given_surface
+from clacad.prescription.bodies import (
+    FieldCells,
+    LensPose,
+    Listed,
+    Medium,
+    given_surface,
+    lens_face,
+    placed,
+    shared,
+)
 from clacad.prescription.face_matrices import equivalent, matrices
 from clacad.prescription.intent import Intent
-from clacad.prescription.radii import LensPair, NoSuchLens
-from clacad.sheet.lattice import Lattice
+from clacad.prescription.radii import LensPair, NoSuchLens, thin_focal_lengths
+from clacad.sheet.cell_places import extreme_cells
+from clacad.sheet.face_order import refractions
 from clacad.sheet.volume_and_extent import FIELD
-from clacad.sheet.window import IDENTITY, PLANE, Body, Face, Window, lens_height
+from clacad.sheet.window import PLANE, Face, Window, lens_height
+
+if TYPE_CHECKING:
+    from clacad.design import Design
 
 NUMBER: dict[Any, int] = {1: 0, 2: 1, "field": FIELD}
 """Array of a face's word."""
@@ -34,130 +59,141 @@ NUMBER: dict[Any, int] = {1: 0, 2: 1, "field": FIELD}
 def plates(intent: Intent) -> Window:
     """Window of the listed faces; lengths in design units.
 
-    Raises
-    ------
-    NoSuchLens
-        The faces have no power that array 2 could be placed by.
+    Raises NoSuchLens: The faces have no power that array 2 could be placed by.
     """
     pair = intent.design.pair
     faces = pair.face
     height = vertices_of(faces)[-1]
-    offset = _offset(intent)
-    second = _height_of(faces, 2)
-    lens_2 = intent.turn @ np.array([*offset, second])
-    still = _bodies(intent, {})
-    moved = displacement(intent.design.lattice.aperture, lens_2[:2], second, still)
-    places = {1: lens_2[:2] - np.asarray(moved)}
+    offset, poses = _offset(intent), _poses(intent)
+    aside = intent.turn @ np.array([*offset, 0.0])
+    lens_2 = poses[_number_of(faces, 2)].point + aside
+    bodies, moved = placed(intent.design.lattice.aperture, _faces(intent, poses, aside), lens_2)
     field = None
     if any(face.array == "field" for face in faces):
-        share = _height_of(faces, "field") / second  # on the line from cell 1 to cell 2
-        field = (share * moved[0], share * moved[1])
-    bodies = _bodies(intent, places)
-    _refuse_steps(intent, bodies, moved)
+        share = float(poses[_number_of(faces, "field")].point[2] / poses[_number_of(faces, 2)].point[2])
+        # on the line from cell 1 to cell 2
+        part = share * np.eye(2)
+        field = FieldCells((share * moved[0], share * moved[1]), part, (part,), np.zeros(3))
     thin = equivalent(pair, intent.eta)
     lenses = LensPair(thin.focal_length, (faces[0].radius, faces[-1].radius), (height, height))
     window = assemble_window(intent, bodies, moved, lenses, offset, field, {} if thin.field else None)
+    _refuse_steps(window, faces)
     return replace(window, thin=replace(window.thin, field=thin.field))
 
 
-def _bodies(intent: Intent, places: dict[int, Floats]) -> tuple[Body, ...]:
-    """Bodies between neighbouring faces; places : vertices (2,) of an array's lenses from their cells."""
-    faces, wavelength = intent.design.pair.face, intent.design.pair.wavelength
-    found: list[Body] = []
-    plate, z = 0, vertices_of(faces)
-    for number, (front, back) in enumerate(zip(faces, faces[1:])):
-        if front.behind == AIR:
-            continue
-        joined = number > 0 and faces[number - 1].behind != AIR
-        plate += not joined
-        material = find(str(front.behind))
-        found.append(
-            Body(
-                _face(front, z[number], +1, intent, places),
-                _face(back, z[number + 1], -1, intent, places),
-                float(material.index(wavelength)),
-                _name(plate, len(found), material),
-                material,
-                joined,
-            )
+def _poses(intent: Intent) -> list[LensPose]:
+    """Pose of each face on the lens axis, which planes bend as they bend a ray; places count along it.
+
+    Raises NoSuchLens: The axis is totally reflected, or leaves the plates along another direction.
+    """
+    faces, law, pair = intent.design.pair.face, intent.law, intent.design.pair
+    z = vertices_of(faces)
+    if law.theta == 0.0:
+        return [LensPose(np.array([0.0, 0.0, height]), shared(intent.turn)) for height in z]
+    sine, before, point, turn = np.sin(law.theta), 1.0, np.zeros(3), intent.turn
+    found = []
+    for face, step in zip(faces, np.diff([0.0, *z]), strict=True):
+        point = point + step * turn[:, 2]
+        found.append(LensPose(point, turn))
+        after = 1.0 if face.behind == AIR else float(find(str(face.behind)).index(pair.wavelength))
+        if face.array is None:
+            sine *= before / after
+            if abs(sine) >= 1.0:
+                break
+            turn = rotation(law.phi, asin(sine), law.psi, law.axes)
+        before = after
+    if len(found) < len(faces) or abs(sine - np.sin(law.theta)) > SAME * abs(sine):
+        raise NoSuchLens(
+            f"planes bend the axis of lenses tilted by {np.degrees(law.theta):.4g} deg, which does not leave"
+            " as it came",
+            key=LAW.euler,
+            hint="theta = 0, or planes that undo one another: as much of a medium before as behind each lens",
+            code="CL114",
         )
-    return tuple(found)
+    return found
+
+
+SAME = 1e-9
+"""Relative difference of sines up to which the axis leaves as it came."""
+
+
+def _faces(intent: Intent, poses: list[LensPose], aside: Floats) -> list[Listed]:
+    """The faces at their poses, those of array 2 `aside` (3,) of the axis, and the media behind them."""
+    faces, wavelength = intent.design.pair.face, intent.design.pair.wavelength
+    found: list[Listed] = []
+    plate, number, before = 0, 0, AIR
+    for spec, pose in zip(faces, poses, strict=True):
+        plate += before == AIR
+        side = +1 if before == AIR else -1  # both bodies of a joint have the points of the first
+        medium = None
+        if spec.behind != AIR:
+            number += 1
+            material = find(str(spec.behind))
+            medium = Medium(float(material.index(wavelength)), _name(plate, number, material), material)
+        face = Face(replace(PLANE, side=side), (0.0, 0.0, float(pose.point[2])))
+        if spec.array is not None:
+            point = pose.point + aside if spec.array == 2 else pose.point
+            face = lens_face(surface_of(spec, side), LensPose(point, pose.rotation), NUMBER[spec.array])
+        found.append((face, medium))
+        before = str(spec.behind)
+    return found
 
 
 def _name(plate: int, number: int, material: Material) -> str:
     """Name of a body: its plate, its place in the sheet and its material."""
     word = "".join(letter if letter.isalnum() else "-" for letter in material.name).lower()
-    return f"plate{plate}-{number + 1}-{word}"
-
-
-def _face(spec: FaceSpec, z: float, side: int, intent: Intent, places: dict[int, Floats]) -> Face:
-    """Side `side` of a body: a plane, or the lenses of an array, in the lens axes."""
-    if spec.array is None:
-        return Face(replace(PLANE, side=side), (0.0, 0.0, z))
-    array = NUMBER[spec.array]
-    x, y = places.get(array, np.zeros(2))
-    turn = IDENTITY if np.array_equal(intent.turn, IDENTITY) else intent.turn
-    point = LensPose(np.array([x, y, z]), turn)
-    return Face(surface_of(spec, side), point.vertex(0.0), turn, array)
+    return f"plate{plate}-{number}-{word}"
 
 
 def surface_of(spec: FaceSpec, side: int) -> Surface:
     """Surface of a listed face, with the signs of the side that its material is on."""
-    if side > 0:
-        return given_surface(spec, side)
-    a, b, c = (tuple(0.0 - term for term in terms) for terms in (spec.a4, spec.a6, spec.a8))
-    radius = -spec.radius[0], -spec.radius[1]
-    return given_surface(FaceSpec(radius, spec.conic, cast("A4", a), cast("A6", b), cast("A8", c)), side)
+    surface = given_surface(spec, +1)
+    return surface if side > 0 else other_side(surface)
 
 
 STEP = 1e-9
 """Largest step of a joint at a border of cells, as a part of the pitch: rounding is far below it."""
 
 
-def _refuse_steps(intent: Intent, bodies: tuple[Body, ...], moved: Pair2) -> None:
-    """Refuse curved joints that have steps at the borders of cells, or would have land.
+def _refuse_steps(window: Window, specs: tuple[FaceSpec, ...]) -> None:
+    """Refuse curved joints that have steps at the borders of cells without land between them.
 
-    moved : displacement of the cells of array 2, which makes an outline around both arrays
-
-    Raises
-    ------
-    NoSuchLens
+    Raises NoSuchLens.
     """
-    lattice, design = intent.lattice, intent.design
-    outlined = lattice.outline is not None or design.body.outline is not None or moved != (0.0, 0.0)
-    cut = outlined or design.lattice.seam or design.body.border
-    number = -1
-    for body, beyond in zip(bodies, (*bodies[1:], None), strict=True):
-        number += 1 if body.joined else 2
-        if body.back.array is None or beyond is None or not beyond.joined:
+    if window.land.seam > 0.0:
+        return
+    for number, (before, spec) in enumerate(pairwise(specs), start=1):
+        if AIR in (before.behind, spec.behind) or spec.array is None:
             continue
-        key = f"{PAIR.face}.{number}.array"
-        if cut:
-            raise NoSuchLens(
-                f"face {number + 1} is a curved joint, which has no land for a seam, border or outline",
-                key=key,
-                hint='a flat joint (radius = "inf", no array), or cells over one another, up to the edge',
-                code="CL114",
-            )
-        step = _step(lattice, body.back)
-        if step > STEP * min(lattice.pitch):
+        step = _step(window, refractions(window.bodies)[number].face)
+        if step > STEP * min(window.lattice.pitch):
             raise NoSuchLens(
                 f"face {number + 1} is a joint with steps of {step:.3g} at the borders of its cells",
-                key=key,
-                hint='delta = 0 and aperture = "centred", lenses along the cells, or a flat joint',
+                key=f"{PAIR.face}.{number}.array",
+                hint='delta = 0 and aperture = "centred", lenses along the cells, a flat joint, or a seam',
                 code="CL114",
             )
 
 
-def _step(lattice: Lattice, face: Face) -> float:
+def _step(window: Window, face: Face) -> float:
     """Largest step (length) of a face between two neighbouring cells, at samples of their border."""
     from clacad.sheet.feasibility.convex_extremes import border
 
-    tile, found = lattice.tile(), 0.0
+    assert face.array is not None
+    lattice, found = window.lattice_of(face.array), 0.0
+    cells = np.zeros((1, 2), dtype=np.int64)
+    if face.change is not None:
+        cells = extreme_cells(face.change, window.lattice)
     for number, step in enumerate(lattice.steps):
-        here = border(tile, number)
-        there = here - np.asarray(lattice.offset(*step))
-        found = max(found, float(np.abs(lens_height(face, *here.T) - lens_height(face, *there.T)).max()))
+        index = np.stack([cells, cells + step])[:, :, None]
+        if face.change is not None:
+            index = index[:, window.lattice.contains(cells + step)]
+        here = border(lattice.tile(), number)
+        heights = []
+        for one, points in zip(index, (here, here - np.asarray(lattice.offset(*step))), strict=True):
+            places = window.lenses(face, one)
+            heights.append(places.raised(lens_height(face, *places.seen(*points.T))))
+        found = max(found, float(np.abs(heights[0] - heights[1]).max(initial=0.0)))
     return found
 
 
@@ -181,7 +217,71 @@ def _offset(intent: Intent) -> Floats:
     return found
 
 
-def _height_of(faces: tuple[FaceSpec, ...], array: object) -> float:
-    """Vertex (length) of the last face of array 2, or of the middle face of another array."""
+def _number_of(faces: tuple[FaceSpec, ...], array: object) -> int:
+    """Number of the last face of array 2, or of the middle face of another array."""
     own = [k for k, face in enumerate(faces) if face.array == array]
-    return vertices_of(faces)[own[-1] if array == 2 else own[len(own) // 2]]
+    return own[-1] if array == 2 else own[len(own) // 2]
+
+
+KEPT = ("wavelength", "vertex", "offset")
+"""Keys of a slab of layers that its list of faces has, too."""
+
+PLASTIC = "achromat-plastic"
+"""Starter with curved joints."""
+
+
+def as_listed(design: Design) -> Design:
+    """The design with its layers solved into a list of faces; a design without layers itself.
+
+    Raises NoSuchLens: The inner layer cannot undo the colour of the lenses.
+    """
+    if not design.pair.layers:
+        return design
+    pair = {key: value for key, value in design.given["pair"].items() if key in KEPT}
+    pair |= {"form": "plates", "face": [face_table(face) for face in layered_faces(design)]}
+    return type(design).from_dict({**design.given, "pair": pair})
+
+
+def layered_faces(design: Design) -> tuple[FaceSpec, ...]:
+    """Curved, flat, flat and curved face of a design with layers; errors as `as_listed`."""
+    pair = design.pair
+    outer, inner = (find(name) for name in pair.layers[:2])
+    assert pair.separation is not None  # layers need it
+    index = [float(one.index(pair.wavelength)) for one in (outer, inner)]
+    share = inner_share(design, outer, inner)
+    first, middle = 0.5 * (1.0 - share) * pair.separation * index[0], share * pair.separation * index[1]
+    conic = pair.conic or (-1.0 / index[0] ** 2, -1.0 / index[0] ** 2)
+    focal = [thin_focal_lengths(eta, pair.separation) for eta in design.law_spec.eta]
+    front, back = (
+        (sign * (index[0] - 1.0) * focal[0][lens], sign * (index[0] - 1.0) * focal[1][lens])
+        for lens, sign in ((0, 1.0), (1, -1.0))
+    )
+    flat: Pair2 = (float("inf"), float("inf"))
+    return (
+        FaceSpec(front, conic, array=1, behind=pair.layers[0]),
+        FaceSpec(flat, z=first, behind=pair.layers[1]),
+        FaceSpec(flat, z=first + middle, behind=pair.layers[2]),
+        FaceSpec(back, conic, z=2.0 * first + middle, array=2, behind=AIR),
+    )
+
+
+def inner_share(design: Design, outer: Material, inner: Material) -> float:
+    """Share of the air-equivalent length s in the inner layer: (1/V − Δn₁/n₁)/(Δn₂/n₂ − Δn₁/n₁).
+
+    Raises NoSuchLens: It is not between 0 and 1.
+    """
+    lines, wavelength = design.light.lines, design.pair.wavelength
+    n, m = (float(one.index(wavelength)) for one in (outer, inner))
+    dn, dm = (float(one.index(min(lines)) - one.index(max(lines))) for one in (outer, inner))
+    gain = dm / m - dn / n
+    share = (dn / (n - 1.0) - dn / n) / gain if gain else float("inf")
+    if not 0.0 < share < 1.0:
+        raise NoSuchLens(
+            f"a flat joint of {outer.name} and {inner.name} needs {share:.3g} of the length in {inner.name}"
+            f" to undo the colour of the lenses: {inner.name} must change its index over n by more than"
+            f" {dn / (n - 1.0):.3g} between the lines, and changes it by {dm / m:.3g}",
+            key=f"{PAIR.layers}.1",
+            hint=f"an inner layer of smaller V; curved joints need less: clacad new --template {PLASTIC}",
+            code="CL114",
+        )
+    return share

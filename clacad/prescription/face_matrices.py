@@ -33,14 +33,9 @@ IMAGING = 0.25
 class ThinEquivalent:
     """Thin lenses that act as listed faces do.
 
-    Attributes
-    ----------
-    focal_length : ((f1x, f1y), (f2x, f2y)), lengths
-        Infinite without power.
-    separation : float, length
-        Mean of the meridians with power.
-    field : tuple of FieldLens
-        None where B is that of two lenses.
+    focal_length : ((f1x, f1y), (f2x, f2y)), lengths. Infinite without power.
+    separation : length. Mean of the meridians with power.
+    field : None where B is that of two lenses.
     """
 
     focal_length: tuple[Pair2, Pair2]

@@ -25,10 +25,11 @@ from math import sqrt
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
+from clacad.base.vectors import xy
 from clacad.design.process_profiles import profile
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
-from clacad.optics.surface import Quadric, Surface
-from clacad.prescription.bodies import GivenFaces, shared
+from clacad.optics.surface import Quadric
+from clacad.prescription.bodies import FieldCells, Listed, bodies_of, shared
 from clacad.prescription.intent import Intent
 from clacad.prescription.radii import NoSuchLens, field_focal_lengths, thin_pair
 from clacad.sheet.volume_and_extent import FIELD as ARRAY
@@ -54,9 +55,7 @@ def thin_field(eta: Pair2, separation: float) -> tuple[FieldLens, ...]:
 def refuse_too_steep(radius: float, intent: Intent, axis: int | None) -> None:
     """Refuse a field face (radius: length) that would end inside its cell along `axis`, or anywhere (None).
 
-    Raises
-    ------
-    NoSuchLens
+    Raises NoSuchLens.
     """
     tile = intent.lattice.tile() @ intent.turn[:2, :2]
     half = float(np.abs(tile).max(axis=0)[axis]) if axis is not None else 0.5 * max(intent.lattice.pitch)
@@ -79,13 +78,6 @@ def refuse_too_steep(radius: float, intent: Intent, axis: int | None) -> None:
 def _conic(intent: Intent, default: float) -> float:
     given = intent.design.pair.field.conic
     return default if given is None else given
-
-
-def _face(intent: Intent, derived: Quadric, after: int) -> Surface:
-    """Field face number `after` (from 0) in the order of the light: as given, else as derived."""
-    if isinstance(intent.shape, GivenFaces):
-        return intent.shape.of_field(derived.side, after)
-    return derived
 
 
 def _sphere(radius: float, side: int, conic: float) -> Quadric:
@@ -117,12 +109,10 @@ def air_gap(intent: Intent) -> float:
 class Plates:
     """Two plates, each with a lens and part of the field lens.
 
-    focal_length : (a1, a2), lengths
-        Focal length of the lens of each plate, alone, in air.
-    field : (f1, f2), lengths
-        Focal length of the field face of each plate, alone, in air; equal to the plate's thickness over
-        index.
-    gap : float, length
+    focal_length : (a1, a2), lengths. Focal length of the lens of each plate, alone, in air.
+    field : (f1, f2), lengths. Focal length of the field face of each plate, alone, in air; equal to the
+        plate's thickness over index.
+    gap : length
     """
 
     focal_length: Pair2
@@ -143,10 +133,7 @@ class Plates:
 def paired_plates(eta: float, separation: float, gap: float) -> Plates:
     """Plates that are together afocal with exactly η (see the module's notes); lengths.
 
-    Raises
-    ------
-    NoSuchLens
-        The gap is twice a focal length or more.
+    Raises NoSuchLens: The gap is twice a focal length or more.
     """
     f1, f2 = (f[0] for f in thin_pair((eta, eta), separation))
     if gap >= 2.0 * min(f1, f2):
@@ -164,19 +151,14 @@ def paired_plates(eta: float, separation: float, gap: float) -> Plates:
 class FieldBodies:
     """Bodies of a window with a field lens.
 
-    moved : (x, y), lengths
-        Displacement of array 2's cells.
-    field : (x, y), lengths
-        Displacement of the field lens's cells.
-    offset : (2,) lengths
-        Displacement of lens 2 from lens 1's axis, lens frame.
-    `told` : mapping
-        The recipe's entries for the field lens.
+    moved : (x, y), lengths. Displacement of array 2's cells.
+    offset : (2,) lengths. Displacement of lens 2 from lens 1's axis, lens frame.
+    `told` : The recipe's entries for the field lens.
     """
 
     bodies: tuple[Body, ...]
     moved: Pair2
-    field: Pair2
+    field: FieldCells
     offset: Floats
     told: dict[str, object]
 
@@ -191,9 +173,8 @@ def two_plates(intent: Intent, separation: float, scale: float) -> FieldBodies:
         refuse_too_steep(r, intent, None)
     thickness = [n * f for f in plates.field]
     legs = ((thickness[0], n), (plates.gap, 1.0), (thickness[1], n))
-    aligned = intent.design.lattice.aperture == "aligned"
     delta = np.asarray(intent.delta)
-    slope = np.zeros(2) if aligned else delta / (1.0 - eta)
+    slope = np.zeros(2) if starts_aligned(intent.design.lattice.aperture) else delta / (1.0 - eta)
     chief = Chief.of(intent, slope * plates.length, plates.length)
     turn = intent.turn[:2, :2]
     before, behind, moved = (turn @ chief.across(legs[:k]) for k in (1, 2, 3))
@@ -208,17 +189,31 @@ def two_plates(intent: Intent, separation: float, scale: float) -> FieldBodies:
         return Face(intent.shape.face((r, r), side, number), _vertex(place, z), rotation, number)
 
     def field(number: int, side: int, place: Floats, z: float) -> Face:
-        return Face(
-            _face(intent, _sphere(inner[number], side, conic), number), _vertex(place, z), array=ARRAY
-        )
+        return Face(_sphere(inner[number], side, conic), _vertex(place, z), array=ARRAY)
 
-    first = Body(lens(0, +1, np.zeros(2), 0.0), field(0, -1, -half, thickness[0]), n, "array1")
-    second = Body(
-        field(1, +1, half, top), lens(1, -1, turn @ offset - moved, top + thickness[1]), n, "array2"
+    first, second = bodies_of(
+        intent.listed(
+            [
+                (lens(0, +1, np.zeros(2), 0.0), intent.glass("array1")),
+                (field(0, -1, -half, thickness[0]), None),
+                (field(1, +1, half, top), intent.glass("array2")),
+                (lens(1, -1, turn @ offset - moved, top + thickness[1]), None),
+            ]
+        )
     )
     told = {"R": inner, "f": field_focal_lengths(intent.eta, separation)[0], "conic": conic}
     told |= {"gap": plates.gap, "thickness": thickness, "equal_plates": _equal(first, second)}
-    return FieldBodies((first, second), _pair(moved), _pair(0.5 * (before + behind)), offset, told)
+    ends = plates.field[0] / plates.length, (plates.field[0] + plates.gap) / plates.length
+    last = plates.focal_length[1]
+    cells = FieldCells(
+        xy(0.5 * (before + behind)),
+        0.5 * sum(ends) * np.eye(2),
+        tuple(end * np.eye(2) for end in ends),
+        np.zeros(3),
+        1.0 - last * (1.0 - 1.0 / eta) / plates.length,
+        (-last / eta, -last / eta),
+    )
+    return FieldBodies((first, second), xy(moved), cells, offset, told)
 
 
 def _equal(first: Body, second: Body) -> bool:
@@ -248,11 +243,8 @@ def _equal(first: Body, second: Body) -> bool:
 class FieldPlate:
     """Plate with the field lens, and positions of its faces; lengths along the lens axis.
 
-    foci : (x, y)
-        Foci of lens 1 in air, from its reference point; the plate's front is at the nearer one.
-    thickness : float
-    `told` : mapping
-        The recipe's entries for the plate.
+    foci : (x, y). Foci of lens 1 in air, from its reference point; the plate's front is at the nearer one.
+    `told` : The recipe's entries for the plate.
     """
 
     foci: Pair2
@@ -284,13 +276,8 @@ def _behind_centre(radius: float, thickness: float, index: float) -> float:
 def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, behind: float) -> FieldPlate:
     """Field plate for the given foci of lens 1, with `behind` of air between the far focus and the next body.
 
-    focal_length : ((f1x, f1y), (f2x, f2y)), lengths
-        Focal lengths of lens 1 and lens 2 as built.
-
-    Raises
-    ------
-    NoSuchLens
-        A face ends inside its cell, or there is no room for the plate.
+    focal_length : ((f1x, f1y), (f2x, f2y)), lengths. Focal lengths of lens 1 and lens 2 as built.
+    Raises NoSuchLens: A face ends inside its cell, or there is no room for the plate.
     """
     n = intent.index
     power = [f1 * f2 / (f1 + f2) for f1, f2 in zip(*focal_length, strict=True)]
@@ -339,16 +326,21 @@ def _plate_thickness(intent: Intent, radius: list[float], foci: Pair2, behind: f
     return thickness
 
 
-def plate_body(intent: Intent, plate: FieldPlate, points: tuple[Floats, Floats]) -> tuple[Body, Pair2]:
-    """The plate's body, and the displacement of its cells (lengths).
+def plate_faces(
+    intent: Intent, plate: FieldPlate, chief: Chief, legs: Legs, front: int
+) -> tuple[list[Listed], FieldCells]:
+    """The plate's faces and its cells.
 
-    points : ((2,), (2,)) lengths, lens frame
-        Intersections of the chief ray of the field centre with front and back.
+    legs : segments of the ray from lens 1 to lens 2, of which the first `front` lead to the plate
     """
+    reached = legs[:front], legs[: front + 1]
+    points = [chief.across(some) for some in reached]
+    near_end, far_end = (_reduced(some) / _reduced(legs) for some in reached)
+    added = plate.added(intent.index) * intent.turn[:, 2]
     power_of = plate.told["R"]
     conic = _conic(intent, -(intent.index**2))
     near = min(plate.foci)
-    front, back = (
+    first, last = (
         intent.turn @ np.array([*point, z])
         for point, z in zip(points, (near, near + plate.thickness), strict=True)
     )
@@ -356,29 +348,35 @@ def plate_body(intent: Intent, plate: FieldPlate, points: tuple[Floats, Floats])
     rotation = shared(intent.turn if tilted or plate.crossed else IDENTITY)
     if not plate.crossed:
         assert isinstance(power_of, float)
-        surface = _face(intent, _sphere(power_of, +1, conic), 0)
-        lens = Face(surface, (0.0, 0.0, float(front[2])), rotation, ARRAY)
-        plane = Face(Quadric(0.0, 0.0, 0.0, -1), (0.0, 0.0, float(back[2])))
+        lens = Face(_sphere(power_of, +1, conic), (0.0, 0.0, float(first[2])), rotation, ARRAY)
+        plane = Face(Quadric(0.0, 0.0, 0.0, -1), (0.0, 0.0, float(last[2])))
         if tilted:
-            vertex = _vertex(back[:2] - front[:2], float(back[2]))
+            vertex = _vertex(last[:2] - first[:2], float(last[2]))
             plane = replace(plane, vertex=vertex, rotation=rotation, array=ARRAY)
-        return Body(lens, plane, intent.index, "field"), _pair(front[:2])
+        cells = FieldCells(
+            xy(first[:2]), near_end * np.eye(2), (near_end * np.eye(2), far_end * np.eye(2)), added
+        )
+        return [(lens, intent.glass("field")), (plane, None)], cells
     assert isinstance(power_of, list)
     axes = (0, 1) if plate.foci[0] < plate.foci[1] else (1, 0)
     # a cylinder is uniform along its axis: each face fixes the position of the cells across its own axis only
     middle = np.empty(2)
     for axis, point in zip(axes, points, strict=True):
         middle[axis] = point[axis]
-    first, last = (
+    near_face, far_face = (
         Face(
-            _face(intent, _cylinder(power_of[axis], axis, side, conic), after),
+            _cylinder(power_of[axis], axis, side, conic),
             (0.0, 0.0, float(at[2])),
             rotation,
             ARRAY,
         )
-        for after, (axis, side, at) in enumerate(zip(axes, (+1, -1), (front, back), strict=True))
+        for axis, side, at in zip(axes, (+1, -1), (first, last), strict=True)
     )
-    return Body(first, last, intent.index, "field"), _pair(intent.turn[:2, :2] @ middle)
+    own = np.zeros(2)
+    own[list(axes)] = near_end, far_end
+    share = intent.turn[:2, :2] @ np.diag(own) @ intent.turn[:2, :2].T
+    cells = FieldCells(xy(intent.turn[:2, :2] @ middle), share, (share,), added)
+    return [(near_face, intent.glass("field")), (far_face, None)], cells
 
 
 # -- the chief ray of the field centre --------------------------------------------------------------
@@ -387,14 +385,22 @@ Legs = tuple[tuple[float, float], ...]
 """Segments of a ray across parallel planes: length along the axis, refractive index."""
 
 
+def starts_aligned(aperture: str | Pair2 | AimedAt) -> bool:
+    """Whether cells 2 lie over cells 1, as they do before they are aimed at a point."""
+    return aperture == "aligned" or isinstance(aperture, AimedAt)
+
+
+def _reduced(legs: Legs) -> float:
+    """Length of segments in air equivalents, to first order."""
+    return sum(length / index for length, index in legs)
+
+
 @dataclass(frozen=True, eq=False)
 class Chief:
     """Ray from the centre of cell 1 to that of cell 2, lens frame.
 
-    slope : (2,)
-        Slope in air.
-    exact : bool
-        Whether the ray is refracted exactly, because the design gives its slope; else to first order, as
+    slope : (2,). Slope in air.
+    exact : Whether the ray is refracted exactly, because the design gives its slope; else to first order, as
         lenses are placed.
     """
 
@@ -405,7 +411,7 @@ class Chief:
     def of(intent: Intent, to_cell_2: Floats, reduced: float) -> Chief:
         """Ray for the design's aperture; `to_cell_2` (2,), lens frame, at `reduced` in air, lengths."""
         aperture = intent.design.lattice.aperture
-        if isinstance(aperture, str | AimedAt):  # a field lens with an aim point is refused later
+        if isinstance(aperture, str | AimedAt):
             return Chief(to_cell_2 / reduced, False)
         ray = np.array([*aperture, 1.0]) @ intent.turn
         return Chief(ray[:2] / ray[2], True)
@@ -422,7 +428,3 @@ class Chief:
 
 def _vertex(place: Floats, z: float) -> tuple[float, float, float]:
     return float(place[0]), float(place[1]), z
-
-
-def _pair(values: Floats) -> Pair2:
-    return float(values[0]), float(values[1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -10,18 +11,21 @@ import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.design.asked_cells import lattice_of
+from clacad.design.faces import FaceSpec
 from clacad.design.process_profiles import profile
 from clacad.design.sections import LATTICE, PAIR
 from clacad.optics.law import Law
-from clacad.prescription.bodies import GivenFaces, Shape, Shaping
+from clacad.prescription.bodies import Listed, Medium, Shape, given_surface
 from clacad.prescription.plates import cells_outline
 from clacad.prescription.radii import LensPair, NoSuchLens, thin_focal_lengths
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.plate import Plate
+from clacad.sheet.volume_and_extent import FIELD
 
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.optics.material.material import Material
+    from clacad.sheet.window import Face
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +40,8 @@ class Intent:
     index: float
     material: Material | None
     lattice: Lattice
-    shape: Shaping
+    shape: Shape
+    given: tuple[FaceSpec, ...] = ()
 
     @property
     def neck(self) -> float:
@@ -45,6 +50,25 @@ class Intent:
         if design.body.neck is not None:
             return design.body.neck
         return max(profile(design.check.process).neck / design.unit_m, min(design.lattice.pitch) / 50.0)
+
+    def glass(self, name: str) -> Medium:
+        """Material of the body with this name."""
+        return Medium(self.index, name, self.material)
+
+    def listed(self, faces: Sequence[Listed]) -> Sequence[Listed]:
+        """The faces of a form in the order of the light, with given surfaces in place of derived ones."""
+        if not self.given:
+            return faces
+
+        def as_given(face: Face, spec: FaceSpec) -> Face:
+            plane = face.array == FIELD and face.surface.curvature_x == face.surface.curvature_y == 0.0
+            if plane or face.array is None:
+                return face
+            return replace(face, surface=given_surface(spec, face.side))
+
+        return [
+            (as_given(face, spec), medium) for (face, medium), spec in zip(faces, self.given, strict=True)
+        ]
 
     def offset(self, focal_length: Pair2) -> Floats:
         """(d_x, d_y) = (δ_x f1x, δ_y f1y), (2,) lengths, with f1 as built; 0 in a meridian without power."""
@@ -89,7 +113,8 @@ def intent_of(design: Design) -> Intent:
         index,
         material,
         _lattice(design),
-        GivenFaces(pair.form, pair.face) if pair.given else Shape(_conic(design, index), pair.depth),
+        Shape(_conic(design, index), pair.depth),
+        pair.face if pair.given else (),
     )
 
 

@@ -12,29 +12,31 @@ import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.design.sections import PAIR
+from clacad.optics.surface import Quadric
 from clacad.prescription.assemble import assemble_window
 from clacad.prescription.best_recipe import best_scale
 from clacad.prescription.bodies import (
     LensPose,
+    Listed,
     Shape,
     best_gap,
-    displacement,
+    bodies_of,
     given_pair,
-    plano_body,
+    lens_face,
+    placed,
     plano_outside_axis,
     shallower,
-    slab_body,
 )
 from clacad.prescription.cell_heights import face_range
-from clacad.prescription.field_lens import Chief, air_gap, one_plate, plate_body, two_plates
+from clacad.prescription.field_lens import Chief, air_gap, one_plate, plate_faces, starts_aligned, two_plates
 from clacad.prescription.intent import Intent, separation_of, untraced
 from clacad.prescription.radii import LensPair, NoSuchLens, single_surface, thin_pair
-from clacad.sheet.window import Body, Window
+from clacad.sheet.window import Face, Window
 
 
 def plano(intent: Intent) -> Window:
     """Window of two plano lenses, curved faces inside or outside."""
-    return best_scale(intent, lambda scale: _plano_scaled(intent, scale))
+    return best_scale(intent, _plano_scaled)
 
 
 def _plano_scaled(intent: Intent, scale: float) -> Window:
@@ -88,7 +90,7 @@ def _afocal_gap(intent: Intent, thickness: Pair2, guess: float) -> float:
     A gap solved for the built faces makes any pair of faces afocal. A search over faces or their scale would
     then increase the separation, because the error falls as the cube of pitch over separation.
     """
-    plain = replace(untraced(intent), shape=Shape(None, None))
+    plain = replace(untraced(intent), shape=Shape(None, None), given=())
     lenses = single_surface(intent.eta, separation_of(intent), thickness, intent.index)
 
     def built(gap: float) -> Window:
@@ -136,28 +138,24 @@ def _plano_auto_of(intent: Intent, separation: float, trial: LensPair) -> Pair2:
 
 def _plano_placed(intent: Intent, lenses: LensPair, lens_2: Floats, turn: Floats, offset: Floats) -> Window:
     """Window of plano lenses, apex 2 at `lens_2` (3,) from apex 1, rotated by `turn` (lens → sheet)."""
-    outside = intent.design.pair.curved == "outside"
-    t1, t2 = lenses.thickness
-    planes = (t1, float(lens_2[2]) - t2) if outside else (-t1, float(lens_2[2]) + t2)
+    faces = _plano_faces(intent, lenses, lens_2, turn, intent.design.pair.curved == "outside")
+    bodies, moved = placed(intent.design.lattice.aperture, intent.listed(faces), lens_2)
+    return assemble_window(intent, bodies, moved, lenses, offset)
 
-    def bodies(moved: Pair2) -> tuple[Body, ...]:
-        points = (np.zeros(3), lens_2 - np.array([*moved, 0.0]))
-        return tuple(
-            plano_body(
-                lenses,
-                k,
-                LensPose(points[k], turn),
-                intent.shape,
-                intent.index,
-                outside == (k == 0),
-                planes[k],
-            )
-            for k in (0, 1)
-        )
 
-    aperture = intent.design.lattice.aperture
-    moved = displacement(aperture, lens_2[:2], float(lens_2[2]), bodies((0.0, 0.0)))
-    return assemble_window(intent, bodies(moved), moved, lenses, offset)
+def _plano_faces(
+    intent: Intent, lenses: LensPair, lens_2: Floats, turn: Floats, outside: bool
+) -> list[Listed]:
+    """Curved and plane face of both lenses, in the order of the light."""
+    found: list[Listed] = []
+    for k, (point, thickness) in enumerate(zip((np.zeros(3), lens_2), lenses.thickness, strict=True)):
+        side = +1 if outside == (k == 0) else -1
+        surface = intent.shape.face(lenses.radius[k], side, k)
+        curved = lens_face(surface, LensPose(point, turn), k)
+        plane = Face(Quadric(0.0, 0.0, 0.0, -side), (0.0, 0.0, float(point[2]) + side * thickness))
+        front, back = (curved, plane) if side > 0 else (plane, curved)
+        found += [(front, intent.glass(f"array{k + 1}")), (back, None)]
+    return found
 
 
 def plano_with_field(intent: Intent, lenses: LensPair) -> Window:
@@ -180,28 +178,21 @@ def plano_with_field(intent: Intent, lenses: LensPair) -> Window:
     offset = intent.built_offset(lenses)
     legs = ((glass[0], n), (before, 1.0), (plate.thickness, n), (behind, 1.0), (glass[1], n))
     turn = intent.turn[:2, :2]
-    aligned = intent.design.lattice.aperture == "aligned"
+    aligned = starts_aligned(intent.design.lattice.aperture)
     chief = Chief.of(intent, 0.0 * offset if aligned else offset, separation)
     moved_x, moved_y = turn @ chief.across(legs)
     moved = float(moved_x), float(moved_y)
     height = sum(length for length, _ in legs)
     lens_2 = np.array([*(turn @ offset), height])
-    planes = (t1, height - t2) if outside else (-t1, height + t2)
-    points = (np.zeros(3), lens_2 - np.array([*moved, 0.0]))
-    arrays = [
-        plano_body(
-            lenses, k, LensPose(points[k], intent.turn), intent.shape, n, outside == (k == 0), planes[k]
-        )
-        for k in (0, 1)
-    ]
-    field, shift = plate_body(intent, plate, (chief.across(legs[:2]), chief.across(legs[:3])))
-    bodies = (arrays[0], field, arrays[1])
-    return assemble_window(intent, bodies, moved, lenses, offset, shift, plate.told)
+    faces = _plano_faces(intent, lenses, lens_2, intent.turn, outside)
+    field, cells = plate_faces(intent, plate, chief, legs, 2)
+    bodies = bodies_of(intent.listed([*faces[:2], *field, *faces[2:]]), moved)
+    return assemble_window(intent, bodies, moved, lenses, offset, cells, plate.told)
 
 
 def slab(intent: Intent) -> Window:
     """Window of one body with both arrays on its faces."""
-    return best_scale(intent, lambda scale: _slab_scaled(intent, scale))
+    return best_scale(intent, _slab_scaled)
 
 
 def _slab_scaled(intent: Intent, scale: float) -> Window:
@@ -214,14 +205,12 @@ def _slab_scaled(intent: Intent, scale: float) -> Window:
     offset = intent.built_offset(lenses)
     lens_2 = intent.turn @ np.array([*offset, thickness])  # the common glass makes it exact for any tilt
 
-    def body(moved: Pair2) -> Body:
-        points = (np.zeros(3), lens_2 - np.array([*moved, 0.0]))
-        first, second = (LensPose(point, intent.turn) for point in points)
-        return slab_body(lenses, (first, second), intent.shape, intent.index)
-
-    aperture = intent.design.lattice.aperture
-    moved = displacement(aperture, lens_2[:2], float(lens_2[2]), (body((0.0, 0.0)),))
-    return assemble_window(intent, (body(moved),), moved, lenses, offset)
+    faces: list[Listed] = [
+        (lens_face(intent.shape.face(lenses.radius[k], side, k), LensPose(point, intent.turn), k), behind)
+        for k, side, point, behind in ((0, +1, np.zeros(3), intent.glass("sheet")), (1, -1, lens_2, None))
+    ]
+    bodies, moved = placed(intent.design.lattice.aperture, intent.listed(faces), lens_2)
+    return assemble_window(intent, bodies, moved, lenses, offset)
 
 
 def _slab_with_field(intent: Intent, separation: float, scale: float) -> Window:

@@ -22,11 +22,11 @@ from clacad.design.body import BodySpec, Outline
 from clacad.design.sections import BODY, LATTICE
 from clacad.prescription.cell_heights import face_range
 from clacad.prescription.radii import NoSuchLens
-from clacad.sheet.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.lattice import Circle, Lattice, Rectangle, whole_on_plate
 from clacad.sheet.pattern import held_when_turned
 from clacad.sheet.plate import Hole, Plate, counter_clockwise, plate_of_circle, plate_of_rectangle
 from clacad.sheet.plate_edges import Vertex, edge_gaps, inside
-from clacad.sheet.window import Body, Window
+from clacad.sheet.window import Body, Face, Window
 
 MOST_CELLS = 10_000_000
 """Greatest number of cells that are tested one by one against a plate."""
@@ -38,10 +38,7 @@ def cells_outline(outline: Outline | None, body: BodySpec) -> Circle | Rectangle
     Where it is also the edge of the plate (no border, no `body.outline`), it includes the corners, holes and
     pins of the body, and cells cut by them are left out.
 
-    Raises
-    ------
-    NoSuchLens
-        A corner, hole or pin does not fit the plate.
+    Raises NoSuchLens: A corner, hole or pin does not fit the plate.
     """
     if outline is None:
         return None
@@ -54,10 +51,7 @@ def with_plate(window: Window, body: BodySpec) -> Window:
     """Window with the plate of its body: `lattice.outline`, `body.outline`, or the cells with a border around
     them.
 
-    Raises
-    ------
-    NoSuchLens
-        The edge, a corner or a hole of a plate cuts a cell of the lattice; no cell is left.
+    Raises NoSuchLens: The edge, a corner or a hole of a plate cuts a cell of the lattice; no cell is left.
     """
     kept = window.lattice.outline
     if isinstance(kept, Plate):
@@ -69,7 +63,7 @@ def with_plate(window: Window, body: BodySpec) -> Window:
                 f"at most {MOST_CELLS:,}",
                 "CL106",
             )
-        kept = replace(kept, moved=window.shifts[1])
+        kept = _for_array_2(kept, window)
         window = replace(window, lattice=replace(window.lattice, outline=kept), outline=kept)
         _refuse_empty(window, kept)
     if kept is not None and not body.apart:
@@ -77,9 +71,15 @@ def with_plate(window: Window, body: BodySpec) -> Window:
     edge = body.outline or _bordered(window, body)
     if edge is None:
         return window
-    plate = replace(_plate(edge, body), moved=window.shifts[1])
+    plate = _for_array_2(_plate(edge, body), window)
     _refuse_cut_cells(window, plate, body)
     return replace(window, outline=plate)
+
+
+def _for_array_2(plate: Plate, window: Window) -> Plate:
+    """Plate that keeps cells which are whole in array 2 as well."""
+    second = window.placements[1]
+    return replace(plate, moved=second.shift, pitch=second.pitch, turn=second.turn)
 
 
 def _bordered(window: Window, body: BodySpec) -> Outline | None:
@@ -174,11 +174,10 @@ def _refuse_cut_cells(window: Window, plate: Plate, body: BodySpec) -> None:
             "CL106",
         )
     cells = lattice.cells()
-    held = plate.holds(lattice.tile(), lattice.centres(cells), plate.room(lattice.pitch))
+    held = whole_on_plate(lattice, plate, cells)
     if held.all():
         return
-    solid = Plate(plate.vertices, moved=plate.moved)
-    cut_by_edge = not solid.holds(lattice.tile(), lattice.centres(cells), plate.room(lattice.pitch)).all()
+    cut_by_edge = not whole_on_plate(lattice, replace(plate, holes=()), cells).all()
     edge = BODY.outline if body.outline is not None else BODY.corners
     key = edge if cut_by_edge or not plate.holes else BODY.holes
     raise NoSuchLens(
@@ -255,10 +254,7 @@ def inside_both(window: Window) -> Window:
     """Window whose circular or rectangular outline keeps only cells that are whole in both arrays: those of
     array 2 are displaced in a slab, and may be larger.
 
-    Raises
-    ------
-    NoSuchLens
-        No cell is left.
+    Raises NoSuchLens: No cell is left.
     """
     second, cut = window.placements[1], window.lattice.outline
     if not isinstance(cut, Circle | Rectangle):
@@ -285,19 +281,16 @@ def with_land(window: Window, seam_depth: float | None) -> Window:
         return window
     depth = min(window.lattice.pitch) / 50.0 if seam_depth is None else seam_depth
 
-    def landed(body: Body) -> Body:
-        faces = []
-        for face in (body.front, body.back):
-            if face.array is not None:
-                low, high = face_range(window, face)
-                face = replace(face, land=high + depth if face.side > 0 else low - depth)
-            faces.append(face)
-        return replace(body, front=faces[0], back=faces[1])
+    def landed(face: Face) -> Face:
+        if face.array is None:
+            return face
+        low, high = face_range(window, face)
+        return replace(face, land=high + depth if face.side > 0 else low - depth)
 
-    plates = [window.form != "biconvex" or body.name == "field" for body in window.bodies]
-    return replace(
-        window,
-        bodies=tuple(
-            landed(body) if plate else body for body, plate in zip(window.bodies, plates, strict=True)
-        ),
-    )
+    bodies: list[Body] = []
+    for body in window.bodies:
+        if window.form != "biconvex" or body.name == "field":
+            front = bodies[-1].back.seen_from_behind if body.joined else landed(body.front)
+            body = replace(body, front=front, back=landed(body.back))
+        bodies.append(body)
+    return replace(window, bodies=tuple(bodies))

@@ -15,7 +15,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from clacad.design.sections import PAIR
+import numpy as np
+
+from clacad.design.sections import PAIR, AimedAt
 from clacad.prescription.radii import NoSuchLens
 
 if TYPE_CHECKING:
@@ -27,7 +29,10 @@ __all__ = ["NoSuchLens", "prescribe"]
 
 
 def prescribe(design: Design) -> Window:
-    """Build the window that realises a design.
+    """Build the sheet that realises a design: radii, thicknesses, faces and places of all lenslets,
+    solved from its law.
+
+    `clacad.trace`, `clacad.tessellate` and `clacad.solids` take the window that is returned.
 
     Parameters
     ----------
@@ -43,6 +48,13 @@ def prescribe(design: Design) -> Window:
     DesignError
         The pair cannot exist; the message gives the number that would make it work. A design that is merely
         unwise (for example a lens that does not cover its cell) is built and left to the checks.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> clacad.prescribe(design)
+    Window('slab', slab, 3 x 3 square cells of 0.5 mm, 1 body)
     """
     from clacad.design import DesignError
 
@@ -53,6 +65,43 @@ def prescribe(design: Design) -> Window:
     except ArithmeticError as error:  # lengths too far apart in size
         message = f"the lengths of this design are too far apart in size to be computed with ({error})"
         raise DesignError.at(design, PAIR.separation, message) from error
+
+
+def design_of_cell(design: Design, window: Window, cell: tuple[int, int]) -> Design:
+    """Design of a uniform sheet whose cells are like one cell of an aimed sheet, or of one whose law varies.
+
+    window : of the design
+    cell : (i, j)
+
+    Raises
+    ------
+    CellsDiffer
+        Its arrays have other pitches, or share a focus: no uniform sheet has such a cell.
+    """
+    from clacad.design import Design
+    from clacad.design.read import read_changed
+    from clacad.sheet.need_window import CellsDiffer
+    from clacad.sheet.vignetting import aperture_slopes
+
+    lattice, law = dict(design.given["lattice"]), dict(design.given["law"])
+    if window.uniform:
+        return design
+    if design.pair.focus is not None or design.lattice.pitch_2 is not None or design.lattice.rotation_2:
+        raise CellsDiffer(
+            "the uniform sheet of a cell", "array 2 has places of its own, or the pairs are sharp"
+        )
+    own = window.law_at(cell)
+    if law.pop("varying", None) is not None:
+        law |= {"eta": [own.eta_x, own.eta_y], "delta": [own.delta_x, own.delta_y]}
+        if design.lattice.aperture == "centred":  # the cells of array 2 are centred for the sheet's centre
+            slope = aperture_slopes(window, np.array([cell]))[0].tolist()
+            lattice["aperture"] = "aligned" if window.shifts[1] == (0.0, 0.0) else slope
+    aimed = design.lattice.aperture
+    if isinstance(aimed, AimedAt):
+        x, y, z = aimed.point
+        at_x, at_y = window.centres(0, np.array(cell)).tolist()
+        lattice["aperture"] = [(x - at_x) / z, (y - at_y) / z]
+    return Design(**read_changed({**design.given, "lattice": lattice, "law": law}, design.path, {}))
 
 
 def placed(design: Design) -> Window:
@@ -77,8 +126,10 @@ def _checked(design: Design) -> Window:
     from clacad.prescription.best_recipe import Residual
     from clacad.prescription.bodies import refuse_crossed
     from clacad.prescription.cell_heights import refuse_no_faces, window_range
+    from clacad.prescription.face_list import as_listed
     from clacad.prescription.intent import intent_of, refuse_radius
 
+    design = as_listed(design)
     intent = intent_of(design)
     if design.pair.form == "plates":
         pass

@@ -17,16 +17,10 @@ from clacad.design.sections import PAIR
 class NoSuchLens(ValueError):
     """A lens cannot be built; carries the number that would allow it.
 
-    Parameters
-    ----------
-    message : str
-        The fault, with the numbers.
-    key : str
-        The design key at fault.
-    hint : str
-        Two ways out, with the numbers.
-    code : str
-        A code of `clacad.config.mistakes.CODES`.
+    message : The fault, with the numbers.
+    key : The design key at fault.
+    hint : Two ways out, with the numbers.
+    code : A code of `clacad.config.mistakes.CODES`.
     """
 
     def __init__(self, message: str, key: str = PAIR.thickness, hint: str = "", code: str = "CL120") -> None:
@@ -38,10 +32,8 @@ class NoSuchLens(ValueError):
 class LensPair:
     """Both lenses of a pair in both meridians, tuples indexed [lens][meridian]; lengths.
 
-    focal_length : ((f1x, f1y), (f2x, f2y))
-        Focal lengths as built.
-    radius : ((R1x, R1y), (R2x, R2y))
-        Apex radii, negative when concave, infinite without power.
+    focal_length : ((f1x, f1y), (f2x, f2y)). Focal lengths as built.
+    radius : ((R1x, R1y), (R2x, R2y)). Apex radii, negative when concave, infinite without power.
     thickness : (T1, T2)
     """
 
@@ -106,10 +98,7 @@ def biconvex_exact(eta: Pair2, separation: float, thickness: Pair2, index: float
 
     Per meridian f1 is the one root of BFD(f1) + BFD(−η f1) = s − (T1 + T2)/2 (physics notes, thick lenses).
 
-    Raises
-    ------
-    NoSuchLens
-        A meridian has no root, or needs a lens thicker than n f.
+    Raises NoSuchLens: A meridian has no root, or needs a lens thicker than n f.
     """
     found = [
         _exact_meridian(value, separation, thickness, index, axis)

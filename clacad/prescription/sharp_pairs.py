@@ -10,6 +10,10 @@ nearer by T (1 − 1/n). A biconvex lens is a thin one whose two principal plane
 separation and planes are reduced by half of it. Lenses and pitch are solved for the reduced distances; the
 thin pair is that of the requested planes.
 
+Planes lie across the axis of the lenses. Of tilted lenses they are inclined to the sheet: each cell has its
+own distances, its law has the δ that sends the chief ray of the axis's point to its image, and its lens 1 has
+the size for these distances. Array 2 keeps the pitch of the middle cell, lenses 2 follow their laws.
+
 Near f1 = −z the image by lens 1 goes to infinity and the pair is no telescopelet: it is refused, with planes
 that work.
 """
@@ -22,10 +26,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.types import Pair2
+from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.sections import PAIR
 from clacad.design.varying import Planes
 from clacad.optics.law.focusing import SharpPair
+from clacad.prescription.bodies import FieldCells
 from clacad.prescription.radii import (
     LensPair,
     NoSuchLens,
@@ -35,9 +40,9 @@ from clacad.prescription.radii import (
     thin_focal_lengths,
     thin_pair,
 )
-from clacad.sheet.cell_places import CellLaws, CellPlacement
-from clacad.sheet.pattern import cosine_and_sine
-from clacad.sheet.window import Window
+from clacad.sheet.cell_places import CellLaws, CellPlacement, VertexChange, lens_plane_slope, linear_change
+from clacad.sheet.volume_and_extent import FIELD
+from clacad.sheet.window import Face, Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -54,10 +59,7 @@ LADDER = 1.25
 def sharp_pairs(eta: Pair2, separation: float, planes: Planes) -> tuple[SharpPair, SharpPair]:
     """Lenses of both meridians.
 
-    Raises
-    ------
-    NoSuchLens
-        The pair would be no telescopelet; the message has planes that work.
+    Raises NoSuchLens: The pair would be no telescopelet; the message has planes that work.
     """
     found = _pairs(eta, separation, planes)
     for axis, value, pair in zip("xy", eta, found, strict=True):
@@ -118,15 +120,19 @@ def sharp_lenses(eta: Pair2, separation: float, planes: Planes, thickness: Pair2
     return LensPair(focal, ((power * a, power * b), (power * c, power * d)), thickness)
 
 
+def sharp_thin_lenses(
+    eta: Pair2, separation: float, planes: Planes, thickness: Pair2, index: float
+) -> LensPair:
+    """Biconvex lenses by the thin recipe, R = 2 (n − 1) f with the focal lengths of thin lenses."""
+    return sharp_lenses(eta, separation, planes, thickness, 2.0 * index - 1.0)
+
+
 def sharp_thick_lenses(
     eta: Pair2, separation: float, planes: Planes, thickness: Pair2, index: float
 ) -> LensPair:
     """Symmetric biconvex lenses, centres `separation` apart, exact in paraxial light for any thickness.
 
-    Raises
-    ------
-    NoSuchLens
-        A lens thicker than n f, or no telescopelet; the message has planes that work.
+    Raises NoSuchLens: A lens thicker than n f, or no telescopelet; the message has planes that work.
     """
     sharp_pairs(eta, separation, planes)  # refuses planes that no thickness can correct
     focal = _lens_by_lens(thick_pairs(eta, separation, planes, thickness, index))
@@ -173,7 +179,7 @@ def chief_focal_lengths(design: Design, thickness: Pair2, index: float, separati
     """Focal lengths (f1x, f1y) of the afocal pair: they relate chief rays' δ to lens 2's offset."""
     eta, planes = design.law_spec.eta, design.pair.focus
     assert planes is not None  # callers check it
-    if design.pair.form != "biconvex":
+    if not _thick(design):
         return thin_pair(eta, separation)[0]
     pairs = thick_pairs(eta, separation, planes, thickness, index)
     x, y = (thin_focal_lengths(value, one.separation)[0] for value, one in zip(eta, pairs, strict=True))
@@ -189,14 +195,9 @@ def with_focus(window: Window, design: Design) -> Window:
     """Uniform window with array 2 spread so that the images of all pairs coincide."""
     planes = design.pair.focus
     assert planes is not None  # callers check it
-    eta, separation = design.law_spec.eta, window.thin.separation
-    (t1, t2), index = window.recipe["T"], window.recipe["n"]
-    thin = pairs = sharp_pairs(eta, separation, planes)
-    if design.pair.form == "biconvex":
-        pairs = thick_pairs(eta, separation, planes, (t1, t2), index)
-    elif behind_plates(design):
-        pairs = sharp_pairs(eta, separation, seen_through(planes, (t1, t2), index))
-    pitch = _spread(window, pairs)
+    separation, (t1, t2), index = window.thin.separation, window.recipe["T"], window.recipe["n"]
+    thin, pairs = sharp_pairs(design.law_spec.eta, separation, planes), _pairs_as_built(window, design)
+    pitch, thin_pitch = _spread(window, pairs), _spread(window, thin)
     made = spread_to(window, pitch, chief_focal_lengths(design, (t1, t2), index, separation))
     told = {
         "object": planes.object,
@@ -206,12 +207,63 @@ def with_focus(window: Window, design: Design) -> Window:
     }
     return replace(
         made,
-        thin=replace(made.thin, focal_length=_lens_by_lens(thin), pitch=_spread(window, thin)),
+        cell_laws=made.cell_laws if window.cell_laws is None else window.cell_laws,
+        thin=replace(
+            made.thin,
+            focal_length=_lens_by_lens(thin),
+            pitch=thin_pitch,
+            change=made.thin.change
+            and _climbing(CellPlacement(pitch=thin_pitch).aside(window.lattice), made.thin.rotation),
+        ),
         recipe={
             **window.recipe,
             "focus": {name: None if value in (inf, -inf) else value for name, value in told.items()},
         },
     )
+
+
+def _pairs_as_built(window: Window, design: Design) -> tuple[SharpPair, SharpPair]:
+    """Thin equivalents of the pairs of a uniform window, at their reduced distances."""
+    planes, eta, separation = design.pair.focus, design.law_spec.eta, window.thin.separation
+    assert planes is not None  # callers check it
+    (t1, t2), index = window.recipe["T"], window.recipe["n"]
+    if _thick(design):
+        return thick_pairs(eta, separation, planes, (t1, t2), index)
+    return sharp_pairs(
+        eta, separation, seen_through(planes, (t1, t2), index) if behind_plates(design) else planes
+    )
+
+
+def inclined_sizes(window: Window, design: Design, cells: Ints) -> tuple[Floats, Floats]:
+    """Lenses 1 of `cells` (n, 2) over that of the middle cell, as built and thin, (n,) each.
+
+    Planes across the axis of tilted lenses lie at another distance from every cell of the sheet. f2 is that
+    of the afocal pair; lens 1 images the object of its cell to where lens 2 needs it.
+    """
+    planes, centres = design.pair.focus, window.lattice.centres(cells)
+    assert planes is not None  # callers check it
+    apart = np.asarray(centres @ window.law.rotation[:2, 2])
+    thin = _focal_lengths(
+        SharpPair.of(window.law.eta_x, window.thin.separation, planes.object, planes.image), apart
+    )
+    built = _focal_lengths(_pairs_as_built(window, design)[0], apart)
+    if _thick(design):
+        thickness, index = window.recipe["T"][0], window.recipe["n"]
+        built = built * (1.0 + np.sqrt(1.0 - thickness / (index * built)))
+    return built[1:] / built[0], thin[1:] / thin[0]
+
+
+def _focal_lengths(pair: SharpPair, apart: Floats) -> Floats:
+    """f1 (1 + n,), lengths, of a pair, and of one `apart` (n,) farther along its axis before both planes."""
+    along = np.concatenate([[0.0], apart])
+    near, far = 1.0 / (pair.object_z - along), 1.0 / (pair.image_distance - along)
+    f2 = pair.focal_lengths[1]
+    return np.asarray(1.0 / (1.0 / (pair.separation - f2 / (1.0 - f2 * far)) - near))
+
+
+def _thick(design: Design) -> bool:
+    """Whether the principal planes of a biconvex pair count; the thin recipe leaves them out."""
+    return design.pair.form == "biconvex" and design.pair.confocal == "exact"
 
 
 def behind_plates(design: Design) -> bool:
@@ -230,16 +282,15 @@ def _spread(window: Window, pairs: tuple[SharpPair, SharpPair]) -> Pair2:
 # -- array 2 with its own pitch or turn ----------------------------------------------------------------
 
 
-def with_pitch_2(window: Window, design: Design) -> Window:
+def with_pitch_2(window: Window, design: Design, focal: Pair2 | None = None) -> Window:
     """Uniform window with array 2 spread to its own pitch and turned.
 
-    Raises
-    ------
-    NoSuchLens
-        Lens 1 has no power in a meridian: δ does not determine the position of its partners.
+    `focal` (lengths) relates the displacement of lens 2 and its cell to δ; None: the focal length of lens 1.
+
+    Raises NoSuchLens: Lens 1 has no power in a meridian: δ does not determine the position of its partners.
     """
     pitch, turn = design.lattice.pitch_2, design.lattice.rotation_2
-    focal = window.recipe["f"][0]
+    focal = window.recipe["f"][0] if focal is None else focal
     if not np.isfinite(focal).all():
         key = "rotation_2" if pitch is None else "pitch_2"
         raise NoSuchLens(
@@ -257,23 +308,59 @@ def spread_to(window: Window, pitch: Pair2 | None, focal: Pair2, turn: float = 0
     `focal` (lengths) relates lens 2's displacement to δ.
     """
     place = CellPlacement(window.placements[1].shift, pitch, turn)
+    aside, tilted = place.aside(window.lattice), window.law.theta != 0.0
+    axes = window.law.rotation[:2, :2]
+    (a, b), (c, d) = (
+        ((np.linalg.inv(axes) if tilted else axes.T) @ aside) / np.asarray(focal)[:, None]
+    ).tolist()
+
+    def raised(face: Face) -> Face:
+        return replace(face, change=_climbing(aside, face.rotation)) if face.array == 1 and tilted else face
+
     return replace(
         window,
+        bodies=tuple(replace(b, front=raised(b.front), back=raised(b.back)) for b in window.bodies),
         placements=(CellPlacement(), place),
-        cell_laws=CellLaws(window.law, _gradient(window, place, focal)),
-        thin=replace(window.thin, pitch=pitch, turn=turn),
+        cell_laws=CellLaws(window.law, ((a, b), (c, d))),
+        thin=replace(
+            window.thin,
+            pitch=pitch,
+            turn=turn,
+            change=_climbing(aside, window.thin.rotation) if tilted else None,
+        ),
     )
 
 
-def _gradient(
-    window: Window, place: CellPlacement, focal: Pair2
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """K, 1/length: rows lens axes, columns sheet axes."""
-    gx, gy = place.scale(window.lattice)
-    axes = window.law.rotation[:2, :2]
-    aside = np.diag([gx - 1.0, gy - 1.0])
-    if place.turn:
-        less, (s, _) = 2.0 * cosine_and_sine(0.5 * place.turn)[1][0] ** 2, cosine_and_sine(place.turn)[1]
-        aside += np.array([[-less, -s], [s, -less]]) * [gx, gy]
-    (a, b), (c, d) = ((axes.T @ aside) / np.asarray(focal)[:, None]).tolist()
-    return (a, b), (c, d)
+def _climbing(aside: Floats, turn: Floats) -> VertexChange:
+    """Lenses that rise with their cells, displaced in the sheet, to stay in their own lens plane."""
+    x, y = (np.array(lens_plane_slope(turn)) @ aside).tolist()
+    return VertexChange(climb=(x, y))
+
+
+# -- field lens between the arrays ----------------------------------------------------------------------
+
+
+def placed_field(window: Window, field: FieldCells, before: Pair2) -> Window:
+    """Window with the field lens's cells and vertices on the lines between the centres of its other cells.
+
+    before : displacement of array 2 for which `field` was built (lengths)
+    """
+    second, lattice = window.placements[1], window.lattice
+    moved = np.subtract(second.shift, before)
+    shift = np.asarray(field.shift) + field.share @ moved
+    place, rest = second.between(lattice, field.share, (float(shift[0]), float(shift[1])))
+    shares = iter(field.faces)
+
+    def changed(face: Face) -> Face:
+        if face.array != FIELD:
+            return face
+        share = next(shares, field.faces[-1])
+        gradient = (share - field.share) @ second.aside(lattice) + rest
+        rise = np.zeros(2) if face.untilted else np.array(lens_plane_slope(face.rotation))
+        climb = rise @ (gradient + place.aside(lattice))
+        x, y = face.vertex[:2] + (share - field.share) @ moved
+        z = face.vertex[2] + float(rise @ share @ moved)
+        return replace(face, vertex=(float(x), float(y), z), change=linear_change(gradient, climb))
+
+    bodies = tuple(replace(b, front=changed(b.front), back=changed(b.back)) for b in window.bodies)
+    return replace(window, bodies=bodies, placements=(*window.placements[:2], place))

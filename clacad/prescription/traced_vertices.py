@@ -6,9 +6,10 @@ direction of the light of the cell's field centre is the expected one: a 2 × 2 
 (Broyden 1965), many cells at once.
 
 Light of one slope finds the same lenses in every cell. The move is therefore a smooth function of the slope
-alone, or, where the law varies and the light does not, of δ (and η) alone. Up to `DIRECT` cells the move is
-solved for each cell. Beyond, it is solved for a subset of cells; a polynomial through these gives the rest
-and is checked against cells that it was not fitted to.
+alone, or, where the law varies and the light does not, of δ (and η) alone, or of both. Up to `DIRECT` cells
+the move is solved for each cell. Beyond, it is solved for a subset of cells; a polynomial through these gives
+the rest and is checked against cells that it was not fitted to. Cells of a rough table that no polynomial
+follows are solved one by one.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from clacad.optics.sequence import Interface, cross, launch, pass_on, unit_direc
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.face_order import refractions
 from clacad.sheet.like_cell import interfaces
+from clacad.sheet.volume_and_extent import FIELD
 from clacad.sheet.window import Window
 
 RAYS = 64
@@ -56,6 +58,12 @@ OWN_DIRECT = 2000
 OWN_LADDER = ((1000, 9), (1900, 12))
 """Number of fitted cells and total degree for lenses of many sizes, where moves are functions of η too."""
 
+WIDE_LADDER = ((1000, 6),)
+"""Number of fitted cells and total degree where slope and law are independent: four or five variables."""
+
+MOST_DIRECT, BATCH = 100_000, 500
+"""Greatest number of cells that are solved one by one where no polynomial follows them, and together."""
+
 HELD_OUT = 40
 """Number of other slopes that the polynomial is checked against."""
 
@@ -77,12 +85,8 @@ It is coarser than the effect of the order of sums, so that bytes repeat.
 class OwnLenses:
     """Lenses of cells with different sizes.
 
-    Parameters
-    ----------
-    sizes : (2, m)
-        Scale factors of lens 1 and lens 2, relative to the window's.
-    fill : (m,)
-        Part of the cell whose light lens 2 can accept.
+    sizes : (2, m). Scale factors of lens 1 and lens 2, relative to the window's.
+    fill : (m,). Part of the cell whose light lens 2 can accept.
     """
 
     sizes: Floats
@@ -93,22 +97,15 @@ class OwnLenses:
 class CellLight:
     """Light of the field centre of cells, and its expected exit directions.
 
-    Parameters
-    ----------
-    slopes : (m, 2)
-        Slopes in air, before the sheet.
-    `asked` : (m, 3) unit
-        Expected exit directions.
-    first : (m, 2) lengths
-        Paraxial displacement of lens 2 of each cell from the window's lens 2.
-    variable : (m, 2)
-        Variables of which moves are smooth functions.
-    key : str
-        Key of the design that errors name.
-    climb : (along x, along y)
-        Rise of lens 2 per lateral displacement, as `VertexChange.slope`.
-    own : OwnLenses or None
-        None: the lenses of all cells are alike.
+    slopes : (m, 2). Slopes in air, before the sheet.
+    `asked` : (m, 3) unit. Expected exit directions.
+    first : (m, 2) lengths. Paraxial displacement of lens 2 of each cell from the window's lens 2.
+    variable : (m, 2 ... 5). Variables of which moves are smooth functions.
+    key : Key of the design that errors name.
+    climb : (along x, along y). Rise of lens 2 per lateral displacement, as `VertexChange.slope`.
+    own : None: the lenses of all cells are alike.
+    field : (k, m, 3) lengths or None
+        Displacement of each field face of each cell from the window's, relative to lens 1.
     """
 
     slopes: Floats
@@ -118,6 +115,7 @@ class CellLight:
     key: str = LATTICE.aperture
     climb: Pair2 = (0.0, 0.0)
     own: OwnLenses | None = None
+    field: Floats | None = None
 
     def of(self, rows: Ints) -> CellLight:
         """Light of some cells, by their indices (k,) in the list."""
@@ -128,30 +126,21 @@ class CellLight:
             first=self.first[rows],
             variable=self.variable[rows],
             own=None if self.own is None else OwnLenses(self.own.sizes[:, rows], self.own.fill[rows]),
+            field=None if self.field is None else self.field[:, rows],
         )
 
 
-def traced_moves(window: Window, slopes: Floats) -> Floats:
+def traced_moves(window: Window, slopes: Floats, field: Floats | None = None) -> Floats:
     """Moves of lens 2 from its paraxial position, for light of each slope.
 
-    Parameters
-    ----------
-    window : Window
-        Uniform, lens 2 at its paraxial position.
-    slopes : (m, 2)
-        Slopes in air of the light of the field centre of each cell.
-
-    Returns
-    -------
-    (m, 2) lengths
-
-    Raises
-    ------
-    NoSuchLens
-        No vertex within `BRACKET` gives the law, or light is lost on the way.
+    window : Uniform, lens 2 at its paraxial position.
+    slopes : (m, 2). Slopes in air of the light of the field centre of each cell.
+    field : (k, m, 3) lengths or None. Displacements of field faces, as in `CellLight`.
+    Returns (m, 2) lengths.
+    Raises NoSuchLens: No vertex within `BRACKET` gives the law, or light is lost on the way.
     """
     asked = _unit(window.law.refract(np.column_stack([slopes, np.ones(len(slopes))])))
-    return moves_of(window, CellLight(slopes, asked, np.zeros(slopes.shape), slopes))
+    return moves_of(window, CellLight(slopes, asked, np.zeros(slopes.shape), slopes, field=field))
 
 
 def moves_of(window: Window, light: CellLight) -> Floats:
@@ -172,18 +161,24 @@ def moves_of(window: Window, light: CellLight) -> Floats:
 def _moves_of(window: Window, light: CellLight) -> Floats:
     """Moves (m, 2), lengths, of light for which they are a smooth function of `CellLight.variable`."""
     grid = GRID * min(window.lattice.pitch)
-    if len(light.slopes) <= (DIRECT if light.own is None else OWN_DIRECT):
+    number, many = len(light.slopes), light.variable.shape[1] > 2
+    if number <= (OWN_DIRECT if many else DIRECT):
         return np.asarray(np.rint(_solved(window, light) / grid) * grid)
-    for nodes, degree in LADDER if light.own is None else OWN_LADDER:
+    for nodes, degree in {2: LADDER, 3: OWN_LADDER}.get(light.variable.shape[1], WIDE_LADDER):
         moves, missed = _by_polynomial(window, light, nodes, degree)
         if missed <= FIT * min(window.lattice.pitch):
             return np.asarray(np.rint(moves / grid) * grid)
-    raise NoSuchLens(
-        f"the vertices of lens 2 change too sharply between cells to be found within {FIT:g} of the pitch",
-        key=light.key,
-        code="CL123",
-        hint=WAY_OUT,
-    )
+    if number > MOST_DIRECT:
+        raise NoSuchLens(
+            f"the vertices of lens 2 change too sharply between cells to be found within {FIT:g} of the"
+            " pitch",
+            key=light.key,
+            code="CL123",
+            hint=WAY_OUT,
+        )
+    batches = np.split(np.arange(number), range(BATCH, number, BATCH))
+    moves = np.concatenate([_solved(window, light.of(rows), moves[rows]) for rows in batches])
+    return np.asarray(np.rint(moves / grid) * grid)
 
 
 def _by_polynomial(window: Window, light: CellLight, count: int, degree: int) -> tuple[Floats, float]:
@@ -191,8 +186,9 @@ def _by_polynomial(window: Window, light: CellLight, count: int, degree: int) ->
     variable = light.variable
     order = np.argsort(sobol(len(variable), 1)[:, 0], kind="stable")
     middle, reach = variable.mean(axis=0), np.ptp(variable, axis=0) / 2.0
-    reach = np.where(reach == 0.0, 1.0, reach) if light.own is not None else reach.max() or 1.0
-    far = variable - middle if light.own is None else (variable - middle) / reach
+    many = variable.shape[1] > 2
+    reach = np.where(reach == 0.0, 1.0, reach) if many else reach.max() or 1.0
+    far = (variable - middle) / reach if many else variable - middle
     outer = np.argsort(-(far**2).sum(axis=1), kind="stable")[: count // 5]
     nodes = np.unique(np.concatenate([outer, order[: count - len(outer)]]))
     held = np.setdiff1d(order[count : count + 2 * HELD_OUT], nodes)[:HELD_OUT]
@@ -200,21 +196,21 @@ def _by_polynomial(window: Window, light: CellLight, count: int, degree: int) ->
     scaled = (variable - middle) / reach
     terms, *_ = np.linalg.lstsq(_powers(scaled[nodes], degree), solved[: len(nodes)], rcond=None)
     moves = np.asarray(_powers(scaled, degree) @ terms)
-    judged = held if light.own is None else np.concatenate([nodes, held])
+    judged = np.concatenate([nodes, held]) if many else held
     return moves, float(np.abs(moves[judged] - solved[len(solved) - len(judged) :]).max(initial=0.0))
 
 
 def _powers(t: Floats, degree: int) -> Floats:
-    """Products of Chebyshev polynomials (m, k) of total degree up to `degree` at points (m, 2) or (m, 3)."""
-    x, y, *more = (np.polynomial.chebyshev.chebvander(column, degree) for column in t.T)
-    flat = [(x[:, i] * y[:, j], degree - i - j) for i in range(degree + 1) for j in range(degree + 1 - i)]
-    if not more:
-        return np.column_stack([one for one, _ in flat])
-    return np.column_stack([one * more[0][:, k] for one, rest in flat for k in range(rest + 1)])
+    """Products of Chebyshev polynomials (m, k) of total degree up to `degree` at points (m, 2 ... 5)."""
+    first, *more = (np.polynomial.chebyshev.chebvander(column, degree) for column in t.T)
+    flat = [(first[:, i], degree - i) for i in range(degree + 1)]
+    for column in more:
+        flat = [(one * column[:, k], rest - k) for one, rest in flat for k in range(rest + 1)]
+    return np.column_stack([one for one, _ in flat])
 
 
-def _solved(window: Window, light: CellLight) -> Floats:
-    """Moves (m, 2) of lens 2, each by its own secant iteration, all traced together."""
+def _solved(window: Window, light: CellLight, start: Floats | None = None) -> Floats:
+    """Moves (m, 2) of lens 2, each by its own secant iteration from `start`, all traced together."""
     seq, points, owners = interfaces(window), _cell_points(window, light.own), _owners(window)
     slopes, asked = light.slopes, light.asked
     if not np.isfinite(asked).all():
@@ -225,8 +221,8 @@ def _solved(window: Window, light: CellLight) -> Floats:
     inverse[:] = turned @ np.diag(np.where(np.isfinite(focal), focal, 0.0)) @ turned.T
     if light.own is not None:
         inverse *= light.own.sizes[1][:, None, None]
-    move = np.zeros((len(slopes), 2))
     allowed = BRACKET * min(window.lattice.pitch) + SHARE * np.abs(light.first).max(axis=1)
+    move = np.clip(0.0 if start is None else start, -allowed[:, None], allowed[:, None]) + np.zeros((1, 2))
     error = _bias(seq, owners, points, light, light.first + move)
     for _ in range(STEPS):
         if not np.isfinite(error).all():
@@ -264,7 +260,7 @@ def _broyden(inverse: Floats, step: Floats, change: Floats) -> Floats:
 
 def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLight, move: Floats) -> Floats:
     """Mean exit direction minus the expected, x and y, (m, 2); lens 2 of m cells moved by `move`."""
-    slopes, asked, climb = light.slopes, light.asked, light.climb
+    slopes, asked = light.slopes, light.asked
     m, n = len(slopes), points.shape[-2]
     ray = np.repeat(np.column_stack([slopes, np.ones(m)]), n, axis=0)
     low = min(interface.vertex[2] for interface in seq) - 4.0 * float(np.abs(points).max())
@@ -272,12 +268,11 @@ def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLi
     start = np.column_stack([at + low * ray[:, :2], np.full(m * n, low)])
     direction, scaled = unit_directions(ray)
     offset, travelled = launch(start, scaled, seq[0].vertex)
-    slide = np.repeat(np.column_stack([move, move @ np.array(climb)]), n, axis=0)
+    slide = np.repeat(_slides(owners, move, light), n, axis=1)
     for k, interface in enumerate(seq):
         if k:
             offset, travelled = pass_on(offset, seq[k - 1].vertex, interface.vertex), np.zeros(m * n)
-            here, before = (owners[number] == 1 for number in (k, k - 1))
-            offset = offset + (int(before) - int(here)) * slide
+            offset = offset + slide[k - 1] - slide[k]
         size = _size_at(interface, owners[k], light, n)
         crossing = cross(interface, offset / size, direction, travelled / size[..., 0])
         offset, direction = (
@@ -286,6 +281,36 @@ def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLi
         )
     mean = _unit(direction.reshape(m, n, 3).mean(axis=1))
     return np.asarray((mean - asked)[:, :2])
+
+
+def _slides(owners: list[int], move: Floats, light: CellLight) -> Floats:
+    """Displacement (k, m, 3) of every face of m cells, with lens 2 moved by `move` (m, 2)."""
+    found, fields = np.zeros((len(owners), len(move), 3)), iter(() if light.field is None else light.field)
+    for k, owner in enumerate(owners):
+        if owner == 1:
+            found[k] = np.column_stack([move, move @ np.array(light.climb)])
+        elif owner == FIELD and light.field is not None:
+            found[k] = next(fields)
+    return found
+
+
+def field_moves(window: Window, placed: Window, cells: Ints) -> Floats:
+    """Displacement (k, m, 3), relative to lens 1, of field faces in `cells` (m, 2) of a placed window.
+
+    window : the uniform window that it was placed from
+    """
+    found = []
+    for (_, old, _, _), (body, new, _, _) in zip(
+        refractions(window.bodies), refractions(placed.bodies), strict=True
+    ):
+        if FIELD not in (new.array, body.arrays[0] if new.array is None else None):
+            continue
+        moved = np.zeros((len(cells), 3))
+        if new.array is not None:
+            moved = placed.vertices(new, cells) - old.vertex
+            moved[:, :2] += placed.centres(FIELD, cells) - placed.centres(0, cells) - window.shifts[FIELD]
+        found.append(moved)
+    return np.array(found)
 
 
 def _size_at(interface: Interface, owner: int, light: CellLight, n: int) -> Floats:

@@ -53,16 +53,10 @@ _XYZ_TO_RGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [
 class SpectralLine:
     """One wavelength.
 
-    Attributes
-    ----------
-    wavelength : float or None, metres
-        None is the design wavelength.
-    basis : (3,)
-        Radiance at this line of light whose colour is (r, g, b): basis · colour.
-    weight : (3,)
-        Linear rgb of the picture for one unit of that radiance.
-    whole : bool
-        Whether this one line carries the whole picture: colours pass unchanged.
+    wavelength : float or None, metres. None is the design wavelength.
+    basis : (3,). Radiance at this line of light whose colour is (r, g, b): basis · colour.
+    weight : (3,). Linear rgb of the picture for one unit of that radiance.
+    whole : Whether this one line carries the whole picture: colours pass unchanged.
     """
 
     wavelength: float | None
@@ -74,13 +68,8 @@ class SpectralLine:
 def lines(light: Light, window: Window, dispersion: bool) -> tuple[SpectralLine, ...]:
     """Lines of a scene's light.
 
-    Parameters
-    ----------
-    light : Light
-    window : Window
-        Window whose materials distinguish wavelengths.
-    dispersion : bool
-        Whether the lines are traced separately; else one represents all.
+    window : Window whose materials distinguish wavelengths.
+    dispersion : Whether the lines are traced separately; else one represents all.
     """
     tells = any(body.material is not None for body in window.bodies)
     if isinstance(light.spectrum, float):
@@ -127,18 +116,12 @@ _BITS = 52
 class View:
     """A camera ready to use, in the scene's unit.
 
-    Attributes
-    ----------
     position : (3,) length
-    ahead : (3,) length
-        From the camera to the middle of the plane it draws on.
-    right, down : (3,) lengths
-        Across the whole picture in that plane.
-    width, height : int, pixels
-    aperture : float, length
-        Diameter of the opening.
-    focus : float
-        Distance of the sharp plane in lengths of `ahead`.
+    ahead : (3,) length. From the camera to the middle of the plane it draws on.
+    right, down : (3,) lengths. Across the whole picture in that plane.
+    width, height : pixels
+    aperture : length. Diameter of the opening.
+    focus : Distance of the sharp plane in lengths of `ahead`.
     """
 
     position: Floats
@@ -169,18 +152,10 @@ def aim(camera: Camera) -> View:
 def offsets(pixels: Ints, first: int, count: int, whole: int) -> Floats:
     """Sample points of pixels: position in the pixel and on the opening, each 0 … 1.
 
-    Parameters
-    ----------
-    pixels : (n,) ints
-        Numbers of the pixels, row by row.
-    first, count : int
-        Number of the first sample of the sequence, and how many.
-    whole : int
-        Total samples of a pixel; 1 is the middle of the pixel and of the opening.
-
-    Returns
-    -------
-    (n, count, 4) array
+    pixels : (n,) ints. Numbers of the pixels, row by row.
+    first, count : Number of the first sample of the sequence, and how many.
+    whole : Total samples of a pixel; 1 is the middle of the pixel and of the opening.
+    Returns (n, count, 4) array.
     """
     if whole == 1:
         return np.full((len(pixels), count, 4), 0.5)
@@ -202,11 +177,8 @@ def _hash(number: Ints, salt: int) -> NDArray[np.uint64]:
 def rays(view: View, pixels: Ints, points: Floats) -> tuple[Floats, Floats]:
     """Starts and directions (n · count, 3) of the samples of some pixels, scene frame; not unit vectors.
 
-    Parameters
-    ----------
     pixels : (n,) ints
-    points : (n, count, 4)
-        From `offsets`.
+    points : (n, count, 4). From `offsets`.
     """
     u = ((pixels % view.width)[:, None] + points[..., 0]) * (1.0 / view.width) - 0.5
     v = ((pixels // view.width)[:, None] + points[..., 1]) * (1.0 / view.height) - 0.5
@@ -239,34 +211,19 @@ def _on_disc(square: Floats) -> Floats:
 class Viewing:
     """All data that a block of camera rays needs.
 
-    Attributes
-    ----------
-    stage : SceneArrays
-    window : Window
-    passage : Passage
-        How rays pass the sheet: rung, effects, which fates shine.
-    lines : tuple of SpectralLine
-        Wavelengths to trace and the contribution of each to the picture.
-    scale : float
-        Window lengths in one scene length.
-    box : (2, 3) lengths, scene frame
-        Around the sheet, with room to spare: rays that miss it miss the sheet.
-    front : float, length
-        Scene z up to which objects are before the sheet.
-    opaque : bool
-        Whether nothing is visible outside the sheet.
-    present : bool
-        Whether there is a sheet at all.
-    before : bool
-        Whether an object may be between camera and sheet.
-    compiled : bool
-        Compiled code or numpy.
-    tables : Tables
-        The stage for compiled code.
-    tint : (red, green, blue)
-        Linear transmission of what is seen through the sheet.
-    pane : Pane or None
-        The sheet for the single kernel `compiled.pixels.sample_all`, where that supports it.
+    passage : How rays pass the sheet: rung, effects, which fates shine.
+    lines : Wavelengths to trace and the contribution of each to the picture.
+    scale : Window lengths in one scene length.
+    box : (2, 3) lengths, scene frame. Around the sheet, with room to spare: rays that miss it miss the sheet.
+    front : length. Scene z up to which objects are before the sheet.
+    opaque : Whether nothing is visible outside the sheet.
+    present : Whether there is a sheet at all.
+    before : Whether an object may be between camera and sheet.
+    compiled : Compiled code or numpy.
+    tables : Tables. The stage for compiled code.
+    tint : (red, green, blue). Linear transmission of what is seen through the sheet.
+    pane : Pane or None. The sheet for the single kernel `compiled.pixels.sample_all`, where that supports it.
+    between : Whether an object reaches between several sheets.
     """
 
     stage: SceneArrays
@@ -283,3 +240,4 @@ class Viewing:
     tables: Any
     tint: Rgb
     pane: Any = None
+    between: bool = False

@@ -22,20 +22,11 @@ from clacad.sheet.window import Window
 class EyeRequest:
     """Positions of the eye and the photograph.
 
-    Parameters
-    ----------
-    design, photo : Path
-    eye : float or None
-        Distance of the eye before the sheet, design units; None: four times the sheet's width.
-    distance : float or None
-        Distance of the photograph behind the sheet; None: twice the sheet's width.
-    height : float or None
-        Height of the photograph; None: it fills the view without the sheet.
-    aside : (float, float)
-        Displacement of the eye to the right and up from the sheet's middle.
-    pixels : int
-        Across the picture.
-    samples : int
+    eye : Distance of the eye before the sheet, design units; None: four times the sheet's width.
+    distance : Distance of the photograph behind the sheet; None: twice the sheet's width.
+    height : Height of the photograph; None: it fills the view without the sheet.
+    aside : (float, float). Displacement of the eye to the right and up from the sheet's middle.
+    pixels : Across the picture.
     """
 
     design: Path
@@ -55,15 +46,8 @@ MARGIN = 1.25
 def eye_scene(request: EyeRequest, overrides: tuple[str, ...] = ()) -> Scene:
     """The scene through the sheet.
 
-    Parameters
-    ----------
-    request : EyeRequest
-    overrides : tuple of str
-        "key=value" each, of the design.
-
-    Raises
-    ------
-    DesignError, SceneError, BadPicture, OverBudget, OSError
+    overrides : "key=value" each, of the design.
+    Raises DesignError, SceneError, BadPicture, OverBudget, OSError.
     """
     design = load(request.design, overrides)
     folder = os.path.commonpath([request.design.resolve().parent, request.photo.resolve().parent])

@@ -48,14 +48,9 @@ def read_picture(path: str | os.PathLike[str]) -> Floats:
     Pictures of more than 2²⁴ pixels are averaged over blocks of 2 × 2, 3 × 3 …, so that fewer pixels are
     kept.
 
-    Raises
-    ------
-    BadPicture
-        No picture of a supported format, truncated or damaged.
-    OverBudget
-        More bytes or pixels than are read.
-    OSError
-        No such file.
+    Raises BadPicture: No picture of a supported format, truncated or damaged.
+    Raises OverBudget: More bytes or pixels than are read.
+    Raises OSError: No such file.
     """
     facts = os.stat(path)
     return _read(os.path.realpath(path), os.fspath(path), (facts.st_mtime_ns, facts.st_size, facts.st_ino))

@@ -15,15 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Floats, Ints, Progress
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import View, Viewing, aim, offsets, rays
 from clacad.rendering.sheet_passage import Passage
 from clacad.rendering.view import SampleRange, Sums, radiance, sample, set_up
 from clacad.scene import Scene, SceneError, load_scene
 from clacad.sheet.window import Window
-
-Progress = Callable[[str, float | None], None]
 
 TILES = (64, 256)
 """Side of a tile, pixels: enough for a block of rays, but within these limits."""
@@ -75,7 +73,7 @@ def render(
     progress: Progress | None = None,
     compiled: bool | None = None,
 ) -> Floats:
-    """Render a still: the camera's view past and through the sheet.
+    """Render a picture: what a camera sees through the sheet and past it.
 
     Parameters
     ----------
@@ -95,15 +93,26 @@ def render(
     Raises
     ------
     SceneError, DesignError
+
+    Examples
+    --------
+    >>> import clacad
+    >>> from clacad.scene import load_scene
+    >>> scene = load_scene("designs/scenes/fig3-z-8.toml", ["camera.pixels = [16, 16]", "camera.samples = 1"])
+    >>> clacad.render(scene).shape
+    (16, 16, 3)
     """
+    from clacad.base.interactive import shown_progress
+
     made = scene if isinstance(scene, Scene) else load_scene(scene)
-    return view_through(made, threads=threads, progress=progress, compiled=compiled).light
+    report = shown_progress(progress)
+    return view_through(made, threads=threads, progress=report, compiled=compiled).light
 
 
 def render_movie(
     scene: Scene | str | os.PathLike[str], *, threads: int | None = None, progress: Progress | None = None
 ) -> Iterator[Picture]:
-    """Render the frames of an animation, one at a time.
+    """Render the frames of an animated scene, one at a time.
 
     Raises
     ------
@@ -111,17 +120,28 @@ def render_movie(
         Raised before the first frame is drawn, with every mistake of every frame.
     ValueError
         The scene has no animation.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> from clacad.scene import load_scene
+    >>> scene = load_scene("designs/scenes/fig3-movie.toml",
+    ...     ["camera.pixels = [16, 16]", "camera.samples = 1"])
+    >>> first = next(clacad.render_movie(scene))
+    >>> first.light.shape
+    (16, 16, 3)
     """
+    from clacad.base.interactive import shown_progress
+
     made = scene if isinstance(scene, Scene) else load_scene(scene)
     if made.animation is None:
         raise ValueError(f"the scene {made.name} has no animation")
     stills = checked_frames(made)
-    fast = worth_compiling(made, len(stills))
+    fast, report = worth_compiling(made, len(stills)), shown_progress(progress)
     for k, still in enumerate(stills):
 
-        def tell(stage: str, share: float | None, k: int = k) -> None:
-            if progress is not None:
-                progress("rendering frames", (k + (share or 0.0)) / len(stills))
+        def tell(stage: str, share: float, k: int = k) -> None:
+            report("rendering frames", (k + share) / len(stills))
 
         yield view_through(still, threads=threads, progress=tell, compiled=fast)
 
@@ -129,10 +149,7 @@ def render_movie(
 def checked_frames(scene: Scene) -> list[Scene]:
     """The still of every frame, each with a sheet that can be built.
 
-    Raises
-    ------
-    SceneError
-        With the mistakes of all frames.
+    Raises SceneError: With the mistakes of all frames.
     """
     from clacad.design import DesignError
 

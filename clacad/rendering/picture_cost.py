@@ -23,13 +23,13 @@ import numpy as np
 
 from clacad.base.machine_rates import Span
 from clacad.base.text import mrad_text
-from clacad.base.types import Bools, Floats, Ints, Rung
+from clacad.base.types import Bools, Floats, Ints, Progress, Rung
 from clacad.design import Design
 from clacad.effects.engine.probe_rays import compared, situation_of_scene
 from clacad.exporting.formats.indexed_meshes import THREEMF
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import View, Viewing, aim, rays
-from clacad.rendering.picture import BLOCK, Picture, Progress, tile, tried, view_through, worth_compiling
+from clacad.rendering.picture import BLOCK, Picture, tile, tried, view_through, worth_compiling
 from clacad.rendering.sheet_passage import Passage
 from clacad.rendering.view import first_box, kernels_are_kept, may_cross, set_up
 from clacad.scene import Scene
@@ -76,13 +76,8 @@ def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> Span:
     The range is narrow where the time of a pixel does not depend on how many are drawn together. It is wide
     where a block takes less than its pixels one by one, as with effects that split light.
 
-    Parameters
-    ----------
-    scene : Scene
-        A still.
-    passage : Passage
-        As planned by `sheet_passage.plan_passage`.
-    frames : int
+    scene : A still.
+    passage : As planned by `sheet_passage.plan_passage`.
     """
     view = aim(scene.camera)
     viewing = set_up(scene, prescribe(scene.design()), worth_compiling(scene, frames), passage)
@@ -184,18 +179,9 @@ def within_target(scene: Scene, target: float) -> Scene:
     Rung auto takes the cheapest rung within it on the scene's own rays, and only effects that turn light by
     more. Rung mesh takes the coarsest facets. Any other rung is measured and rejected if its error is larger.
 
-    Parameters
-    ----------
-    scene : Scene
-    target : float, radians
-        Rms direction error.
-
-    Raises
-    ------
-    BadRequest
-        The scene has several sheets.
-    TargetOutOfReach
-        The error of the scene's rung, or of its mesh file, is larger.
+    target : radians. Rms direction error.
+    Raises BadRequest: The scene has several sheets.
+    Raises TargetOutOfReach: The error of the scene's rung, or of its mesh file, is larger.
     """
     if len(scene.sheets) > 1:
         several = "the scene has several: give each its own rung, [[sheet]] rung"
@@ -249,18 +235,11 @@ COSTLY = 5.0
 class CoarseView:
     """A picture drawn small, and the data to draw it fine.
 
-    Attributes
-    ----------
-    scene : Scene
-        The requested still.
-    passage : Passage
-        With every effect.
-    small : Picture
-        With every effect; a pixel for each block.
-    blockwise : tuple of str
-        Effects that are added to the fine picture block by block; none where all are cheap or strong.
-    compiled : bool
-        Whether the small picture was drawn by compiled code.
+    scene : The requested still.
+    passage : With every effect.
+    small : With every effect; a pixel for each block.
+    blockwise : Effects that are added to the fine picture block by block; none where all are cheap or strong.
+    compiled : Whether the small picture was drawn by compiled code.
     """
 
     scene: Scene
@@ -326,16 +305,10 @@ def view_coarsely(
 ) -> CoarseView:
     """Draw a still small, with every effect; in numpy where kernels would have to be compiled first.
 
-    Parameters
-    ----------
-    scene : Scene
-        A still.
-    passage : Passage
-        As planned by `sheet_passage.plan_passage`.
-    threads, progress
-        As in `picture.render`.
-    frames : int
-        Number of frames of the movie whose first frame it is.
+    scene : A still.
+    passage : As planned by `sheet_passage.plan_passage`.
+    threads, progress : As in `picture.render`.
+    frames : Number of frames of the movie whose first frame it is.
     """
     width, height = (-(-n // PIXELS_A_BLOCK) for n in scene.camera.pixels)
     small = scene.replace("camera.pixels", [width, height])

@@ -95,9 +95,7 @@ def pixels_of(picture: Picture) -> Bytes:
 def write_picture(picture: Picture, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Write a still as PNG, WebP (lossless) or TIFF, by the name's ending, with its metadata.
 
-    Raises
-    ------
-    UnknownPicture, CannotWrite, ExportRefused
+    Raises UnknownPicture, CannotWrite, ExportRefused.
     """
     target = Path(path)
     if target.suffix.lower() not in STILLS:
@@ -141,12 +139,8 @@ def _one_text(notes: dict[str, str]) -> str:
 def labelled(pixels: Bytes, text: str, lines: int = 1) -> Bytes:
     """A picture with its label on a strip below it, broken into lines that fit.
 
-    Parameters
-    ----------
     pixels : (h, w, 3) bytes
-    text : str
-    lines : int
-        Least number of lines that the strip has room for: frames of a movie must have equal heights.
+    lines : Least number of lines that the strip has room for: frames of a movie must have equal heights.
     """
     from PIL import Image, ImageDraw
 
@@ -187,16 +181,9 @@ def write_movie(
 ) -> list[dict[str, Any]]:
     """Write frames as an animation: WebP, PNG, GIF, or MP4 where the encoder is installed.
 
-    Returns
-    -------
-    list of dict
-        For each frame: rung and rays traced.
-
-    Raises
-    ------
-    UnknownPicture
-        Another ending, or MP4 without an encoder.
-    CannotWrite, ExportRefused
+    Returns: For each frame: rung and rays traced.
+    Raises UnknownPicture: Another ending, or MP4 without an encoder.
+    Raises CannotWrite, ExportRefused.
     """
     target = Path(path)
     kind = target.suffix.lower()
@@ -246,10 +233,7 @@ def animate(path: Path, frames: Iterator[Bytes], fps: float, notes: dict[str, st
 def _mp4_writer() -> Any:
     """A function (path, frames, fps) that writes H.264, from the optional extra.
 
-    Raises
-    ------
-    UnknownPicture
-        The encoder is not installed.
+    Raises UnknownPicture: The encoder is not installed.
     """
     from importlib import import_module
 

@@ -76,31 +76,22 @@ class Primitive:
 class SceneArrays:
     """All objects of a scene.
 
-    Attributes
-    ----------
     kind : (n,) ints
     rotation : (n, 3, 3), local → scene
     origin : (n, 3)
-    size : (n, 4)
-        Sphere: radius. Box, screen: half extents. Cone: bottom radius, top radius, height. Prism: half
-        thickness. Floor: reach.
-    bound : (n, 4)
-        Centre and radius of a sphere round the primitive (radius infinite for a floor).
+    size : (n, 4). Sphere: radius. Box, screen: half extents. Cone: bottom radius, top radius, height. Prism:
+        half thickness. Floor: reach.
+    bound : (n, 4). Centre and radius of a sphere round the primitive (radius infinite for a floor).
     paint : (n,) ints
     colours : (n, 2, 3)
-    pattern : (n,)
-        Side of a tile, width of a pair of stripes.
+    pattern : (n,). Side of a tile, width of a pair of stripes.
     piece : (n, 2) ints
         First and end row of the primitive's own data: corners in `outline`, pixels, or trees of the forest.
-    outline : (k, 2)
-        Corners of prisms.
-    pixels : (k, 3), picture : (n, 2) ints
-        Linear light of pictures, row by row; height and width.
-    forest : Hierarchy
-        All meshes, each in its tree.
+    outline : (k, 2). Corners of prisms.
+    pixels : (k, 3), picture : (n, 2) ints. Linear light of pictures, row by row; height and width.
+    forest : All meshes, each in its tree.
     cluster : (m, 2) ints, cluster_bound : (m, 4)
         First and end primitive of each object, and a sphere round it.
-    ambient, key : float
     towards_light : (3,) unit
     sky : (2, 3), ground : (3,)
     """
@@ -130,12 +121,8 @@ class SceneArrays:
 def set_stage(scene: Scene) -> SceneArrays:
     """Lay out the objects of a scene.
 
-    Raises
-    ------
-    SceneError
-        A file is missing.
-    UnreadableFile
-        A mesh is damaged; a picture raises OSError.
+    Raises SceneError: A file is missing.
+    Raises UnreadableFile: A mesh is damaged; a picture raises OSError.
     """
     return stage_of(
         [list(_primitives(scene, thing)) for thing in scene.objects], scene.light, scene.background

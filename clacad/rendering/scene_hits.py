@@ -34,11 +34,8 @@ def look(
 ) -> tuple[Floats, Bools]:
     """Light that rays find, looking from `origin` along `direction`.
 
-    Parameters
-    ----------
     origin, direction : (n, 3) arrays, scene frame
-    limit : (n,) or float
-        Objects count at distances above 0 and below this.
+    limit : (n,) or float. Objects count at distances above 0 and below this.
 
     Returns
     -------

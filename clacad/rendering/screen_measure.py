@@ -31,24 +31,15 @@ CLIP = 4.0
 class ScreenMap:
     """A measured map from the sheet to a screen: X = offset + matrix x₀.
 
-    Attributes
-    ----------
-    offset : (2,) length
-        Screen point seen at the middle of the sheet.
+    offset : (2,) length. Screen point seen at the middle of the sheet.
     matrix : (2, 2)
-    rms : (2,) length
-        Rms residual of the fitted rays.
-    share : float
-        Rays fitted over rays on the sheet.
-    direct : float
-        Rays through corresponding lenslets over rays on the sheet.
-    seen : (n, 2) lengths
-        Screen points that rays through corresponding lenslets meet.
-    grain : float, length²
-        Part of the sheet for each ray.
-    z : float, length
-        Plane of the screen.
-    camera_distance : float, length
+    rms : (2,) length. Rms residual of the fitted rays.
+    share : Rays fitted over rays on the sheet.
+    direct : Rays through corresponding lenslets over rays on the sheet.
+    seen : (n, 2) lengths. Screen points that rays through corresponding lenslets meet.
+    grain : length². Part of the sheet for each ray.
+    z : length. Plane of the screen.
+    camera_distance : length
     """
 
     offset: Floats
@@ -104,20 +95,10 @@ def measure(
 ) -> ScreenMap:
     """Fit the map of a still scene's sheet to a screen in z, from the rendered picture.
 
-    Parameters
-    ----------
-    scene : Scene
-    z : float, length
-        Position behind the sheet.
-    pixels : int
-        Rays across the picture; best not a multiple of the lens pitch.
-    threads, compiled
-        As in `picture.render`.
-
-    Raises
-    ------
-    ValueError
-        Fewer than 16 rays come through the sheet.
+    z : length. Position behind the sheet.
+    pixels : Rays across the picture; best not a multiple of the lens pitch.
+    threads, compiled : As in `picture.render`.
+    Raises ValueError: Fewer than 16 rays come through the sheet.
     """
     plain = coordinate_scene(scene, z, pixels)
     x0, seen, inside = _on_screen(plain, geometry_alone(plain, direct=True), threads, compiled)
@@ -171,10 +152,7 @@ def sheet_points(scene: Scene, window: object, shape: tuple[int, ...]) -> tuple[
 def fitted(x0: Floats, seen: Floats) -> tuple[Floats, Floats, Floats, int]:
     """Least squares, repeated without strays: rays farther off than 4 times the median distance.
 
-    Parameters
-    ----------
-    x0, seen : (n, 2) lengths
-        Points where rays cross the sheet and the screen.
+    x0, seen : (n, 2) lengths. Points where rays cross the sheet and the screen.
 
     Returns
     -------

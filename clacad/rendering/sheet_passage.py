@@ -6,8 +6,9 @@ splits continues as several rays. Light that a sheet sends back does not meet th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from clacad.tracing.through_stack import entering, leaving
 from clacad.tracing.trace import SheetTracer
 
 if TYPE_CHECKING:
-    from clacad.effects import Plan
+    from clacad.effects.engine.plan import Plan
     from clacad.mesh import Mesh
     from clacad.scene import Scene, SheetSpec
     from clacad.sheet.window import Window
@@ -31,10 +32,7 @@ if TYPE_CHECKING:
 class Beyond:
     """Rays that carry light from behind the sheet to the camera.
 
-    Attributes
-    ----------
-    parent : (m,) ints
-        The launched ray each one belongs to.
+    parent : (m,) ints. The launched ray each one belongs to.
     position, direction : (m, 3), window units
     flux : (m,)
     """
@@ -44,24 +42,22 @@ class Beyond:
     direction: Floats
     flux: Floats
 
+    def part(self, rows: Bools) -> Beyond:
+        """Return some of the rays."""
+        return Beyond(self.parent[rows], self.position[rows], self.direction[rows], self.flux[rows])
+
 
 @dataclass(frozen=True, eq=False)
 class Passage:
     """Passage of rays through the sheet.
 
-    Attributes
-    ----------
     rung : "law", "thin", "surfaces" or "mesh"
     shining : tuple of Fate
         Fates whose rays bring light where no effect but ghosts is on; all others are black.
-    plan : Plan or None
-        The effects; None for geometry alone.
-    mesh : Mesh, str or None
-        Rung mesh: the triangles.
-    continuous : bool
-        Rung law: use the law at the very point met, not that of the cell hit.
-    several : tuple of StackedPassage
-        All sheets, where there are more than one; the other attributes describe the first.
+    plan : The effects; None for geometry alone.
+    mesh : str or None. Rung mesh: the triangles.
+    continuous : Rung law: use the law at the very point met, not that of the cell hit.
+    several : All sheets, where there are more than one; the other attributes describe the first.
     """
 
     rung: Rung
@@ -99,12 +95,17 @@ class Passage:
         """Whether the sheet is represented by its law alone."""
         return self.rung == "law" and self.plain and not self.several
 
-    def light_of_all(self, window: Window, rays: Rays, compiled: bool) -> tuple[Beyond, Bools]:
-        """Trace camera rays through every sheet; return what shines, and which rays (n,) met a sheet."""
+    def light_of_all(
+        self, window: Window, rays: Rays, compiled: bool, between: Between | None = None
+    ) -> tuple[Beyond, Bools, Floats | None]:
+        """Trace camera rays through every sheet; return what shines, and which rays (n,) met a sheet.
+
+        Returns also the light (n, 3) of objects between sheets, None without `between`.
+        """
         if self.several:
-            return through_all(self.several, rays, compiled)
+            return through_all(self.several, rays, compiled, between)
         beyond, result = self.light(window, rays, compiled)
-        return beyond, np.asarray(result.fate != Fate.MISSED)
+        return beyond, np.asarray(result.fate != Fate.MISSED), None
 
     def light(self, window: Window, rays: Rays, compiled: bool) -> tuple[Beyond, TraceResult]:
         """Trace a block of rays through one sheet, in its frame, on this thread; return what shines."""
@@ -128,12 +129,7 @@ class Passage:
 class StackedPassage:
     """Passage of rays through one of several sheets.
 
-    Attributes
-    ----------
-    sheet : StackedSheet
-    passage : Passage
-    opaque : bool
-        Whether light that misses it is stopped.
+    opaque : Whether light that misses it is stopped.
     """
 
     sheet: StackedSheet
@@ -141,16 +137,26 @@ class StackedPassage:
     opaque: bool
 
 
-def through_all(several: tuple[StackedPassage, ...], rays: Rays, compiled: bool) -> tuple[Beyond, Bools]:
+Between = Callable[[Floats, Floats, Floats], tuple[Floats, Bools]]
+"""Light (n, 3) of objects that rays meet within a length (n,) of their position, and which do."""
+
+
+def through_all(
+    several: tuple[StackedPassage, ...], rays: Rays, compiled: bool, between: Between | None = None
+) -> tuple[Beyond, Bools, Floats | None]:
     """Trace camera rays through several sheets; return what shines, and which rays (n,) met any.
 
-    Frame and unit are those of the first sheet.
+    Frame and unit are those of the first sheet. Objects between sheets stop rays; their light (n, 3) is
+    returned last.
     """
     many = len(rays)
     way = rays.direction / np.linalg.norm(rays.direction, axis=1)[:, None]
     light = Beyond(np.arange(many), rays.position, way, np.ones(many))
     met = np.zeros(many, dtype=bool)
+    lit = None if between is None else np.zeros((many, 3))
     for number, one in enumerate(several):
+        if between is not None and lit is not None and number:
+            light = _stopped(light, one.sheet.span[0], met, between, lit)
         ahead = light.direction[:, 2] > 0.0
         rows = np.flatnonzero(ahead)
         parent = light.parent[rows]
@@ -172,10 +178,24 @@ def through_all(several: tuple[StackedPassage, ...], rays: Rays, compiled: bool)
         past[rows[missed]] = not one.opaque
         light = _joined(light, past, passed)
     shining = met[light.parent]
-    return (
-        Beyond(*(getattr(light, name)[shining] for name in ("parent", "position", "direction", "flux"))),
-        met,
-    )
+    return light.part(shining), met, lit
+
+
+def _stopped(light: Beyond, front: float, met: Bools, between: Between, lit: Floats) -> Beyond:
+    """Rays that reach the plane of the next sheet; `lit` gains what stops the others.
+
+    A ray that has met no sheet so far is stopped, too: it is shown with those that miss all sheets.
+    """
+    ahead = np.flatnonzero(light.direction[:, 2] > 0.0)
+    reach = (front - light.position[ahead, 2]) / light.direction[ahead, 2]
+    found, hit = between(light.position[ahead], light.direction[ahead], reach)
+    rows = ahead[hit]
+    shown = rows[met[light.parent[rows]]]
+    colours = found[hit][met[light.parent[rows]]] * light.flux[shown, None]
+    np.add.at(lit, light.parent[shown], colours)
+    kept = np.ones(len(light.parent), dtype=bool)
+    kept[rows] = False
+    return light.part(kept)
 
 
 def _joined(light: Beyond, kept: Bools, more: Beyond) -> Beyond:
@@ -187,12 +207,8 @@ def _joined(light: Beyond, kept: Bools, more: Beyond) -> Beyond:
 def stack_of(scene: Scene) -> Stack:
     """The sheets of a still scene with their positions, in the first one's frame and unit.
 
-    Raises
-    ------
-    SceneError, DesignError
-        A design that cannot be read or made.
-    BadStack
-        Sheets overlap.
+    Raises SceneError, DesignError: A design that cannot be read or made.
+    Raises BadStack: Sheets overlap.
     """
     from clacad.prescription.prescribe import prescribe
 
@@ -221,17 +237,12 @@ def in_scene(sheets: list[StackedSheet], unit: float, scene: Scene) -> Stack:
 def plan_passage(scene: Scene, window: Window) -> Passage:
     """Choose rung and effects of a still scene, for each of several sheets.
 
-    Raises
-    ------
-    ValueError
-        An unknown effect, or sheets that overlap.
+    Raises ValueError: An unknown effect, or sheets that overlap.
     """
-    from clacad.effects import plan_effects
+    from clacad.effects.engine.plan import plan_effects, plan_sheets
 
     if len(scene.sheets) == 1:
         return _passage(scene, scene.sheet, plan_effects(scene), window)
-    from clacad.effects import plan_sheets
-
     stack = stack_of(scene)
     several = tuple(
         StackedPassage(one, _passage(scene, spec, plan, one.window), spec.surround == "opaque")
@@ -249,16 +260,13 @@ def _passage(scene: Scene, sheet: SheetSpec, plan: Plan, window: Window) -> Pass
         mesh = scene.file(sheet.mesh) if sheet.mesh else tessellate(window, quads=sheet.quads)
     ghosts = Fate.GHOST in {kind.shows for kind in declared_all(plan.names)}
     shining = (int(Fate.ALIVE), int(Fate.LAND), *((int(Fate.GHOST),) if ghosts else ()))
-    return Passage(cast(Rung, plan.rung), shining, plan, mesh, continuous=_smooth(sheet, window))
+    return Passage(plan.rung, shining, plan, mesh, continuous=_smooth(sheet, window))
 
 
 def _smooth(sheet: SheetSpec, window: Window) -> bool:
     """Whether a sheet is shown by the law at the very point met.
 
-    Raises
-    ------
-    BadRequest
-        The law comes from a table, which has no values between its cells.
+    Raises BadRequest: The law comes from a table, which has no values between its cells.
     """
     if sheet.continuous and window.cell_laws is not None and window.cell_laws.smooth is None:
         raise BadRequest(

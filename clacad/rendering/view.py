@@ -18,12 +18,12 @@ from clacad.optics.rays import Rays
 from clacad.rendering.camera import SpectralLine, View, Viewing, digits, lines
 from clacad.rendering.scene_arrays import BOX, FLOOR, SCREEN, SceneArrays, set_stage
 from clacad.rendering.scene_hits import background, look
-from clacad.rendering.sheet_passage import Beyond, Passage, plan_passage
+from clacad.rendering.sheet_passage import Between, Beyond, Passage, plan_passage
 from clacad.scene import Camera, Scene
 from clacad.sheet.face_order import media_of
 from clacad.sheet.plate import Plate
-from clacad.sheet.stack import BadStack
 from clacad.sheet.window import Window
+from clacad.tracing.layout import lay_out
 
 if TYPE_CHECKING:
     from clacad.rendering.compiled.pixels import Pane
@@ -57,7 +57,6 @@ def pane_of(
     from clacad.rendering.compiled import pixels as kernel
     from clacad.rendering.compiled.hole_beside_lens import suits
     from clacad.tracing.compiled.packing import pack
-    from clacad.tracing.layout import lay_out
 
     numbers, law = np.zeros(kernel.PANE_NUMBERS), window.law
     kind = kernel.NO_SHEET if not present else kernel.LAW if plane else kernel.SURFACES
@@ -75,8 +74,6 @@ def pane_of(
 
 def first_box(window: Window) -> Floats:
     """Low and high corner of the first body, window units: a ray that misses it misses the sheet."""
-    from clacad.tracing.layout import lay_out
-
     body = lay_out(window).bodies[0]
     x0, x1, y0, y1 = body.box
     low, high = np.array([x0, y0, body.level + body.low]), np.array([x1, y1, body.level + body.high])
@@ -134,7 +131,6 @@ def kernels_are_kept(viewing: Viewing, view: View) -> bool:
         return is_kept(sample_all, (eye, viewing.pane, viewing.tables, none, none, 1, rows, rows))
     from clacad.rendering.compiled.scene_hits import look_all
     from clacad.tracing.compiled.surfaces import rung_is_kept
-    from clacad.tracing.layout import lay_out
 
     rows, flat = np.zeros((0, 3)), np.zeros(0)
     looked = (viewing.tables, rows, rows, flat, rows, np.zeros(0, np.bool_), flat)
@@ -156,16 +152,9 @@ def set_up(
 ) -> Viewing:
     """Prepare a still scene for rendering.
 
-    Parameters
-    ----------
-    scene : Scene
-    window : Window
-        Prescribed from the scene's design.
-    compiled : bool
-    passage : Passage or None
-        None: planned from the scene.
-    sheet : bool
-        False: the view without the sheet.
+    window : Prescribed from the scene's design.
+    passage : None: planned from the scene.
+    sheet : False: the view without the sheet.
     """
     stage = set_stage(scene)
     planned = plan_passage(scene, window) if passage is None else passage
@@ -176,8 +165,7 @@ def set_up(
     opaque = sheet and scene.sheet.surround == "opaque"
     before = may_stand_before(stage, front, scene.camera, box)
     made = pane = None
-    if planned.several:
-        _refuse_between(stage, planned, scale)
+    between = bool(planned.several) and _lies_between(stage, planned, scale)
     if compiled:
         from clacad.rendering.compiled.scene_tables import tables
 
@@ -186,7 +174,21 @@ def set_up(
             pane = pane_of(window, planned, colours, scale, front, opaque, sheet, sheet and before)
     tint = scene.sheet.tint
     return Viewing(
-        stage, window, planned, colours, scale, box, front, opaque, sheet, before, compiled, made, tint, pane
+        stage,
+        window,
+        planned,
+        colours,
+        scale,
+        box,
+        front,
+        opaque,
+        sheet,
+        before,
+        compiled,
+        made,
+        tint,
+        pane,
+        between,
     )
 
 
@@ -199,19 +201,17 @@ def _box_of_all(passage: Passage, window: Window) -> Floats:
     return np.array([low, high])
 
 
-def _refuse_between(stage: SceneArrays, passage: Passage, scale: float) -> None:
-    """Reject objects between sheets, where light is not tested against objects."""
+def _lies_between(stage: SceneArrays, passage: Passage, scale: float) -> bool:
+    """Whether an object other than a floor reaches between the sheets."""
     low = passage.several[0].sheet.span[1] / scale
     high = passage.several[-1].sheet.span[0] / scale
-    for kind, (x, y, z, radius), turn, size in zip(
+    for kind, (_, _, z, radius), turn, size in zip(
         stage.kind, stage.bound, stage.rotation, stage.size, strict=True
     ):
         reach = np.abs(turn[2]) @ size[:3] if kind in (BOX, SCREEN) else radius
         if kind != FLOOR and z - reach < high and z + reach > low:
-            raise BadStack(
-                f"an object at ({x:.4g}, {y:.4g}, {z:.4g}) reaches between the sheets, into z from {low:.6g}"
-                f" to {high:.6g}: objects are in front of all sheets or behind all of them"
-            )
+            return True
+    return False
 
 
 def sheet_box(window: Window) -> Floats:
@@ -241,10 +241,7 @@ def sheet_box(window: Window) -> Floats:
 def radiance(viewing: Viewing, position: Floats, direction: Floats) -> Floats:
     """Light (n, 3), linear sRGB primaries, of camera rays.
 
-    Parameters
-    ----------
-    position, direction : (n, 3) arrays, scene frame
-        Directions of any length.
+    position, direction : (n, 3) arrays, scene frame. Directions of any length.
     """
     if len(viewing.lines) == 1 and viewing.lines[0].whole:
         return _one_line(viewing, position, direction, viewing.lines[0].wavelength)
@@ -262,11 +259,14 @@ def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength:
     if len(rows) and viewing.present:
         start = position[rows] * viewing.scale
         waves = None if wavelength is None else np.full(len(rows), wavelength)
-        beyond, met = viewing.passage.light_of_all(
-            viewing.window, Rays(start, direction[rows], waves), viewing.compiled
+        beyond, met, lit = viewing.passage.light_of_all(
+            viewing.window,
+            Rays(start, direction[rows], waves),
+            viewing.compiled,
+            _between(viewing) if viewing.between else None,
         )
         beside[rows] = ~met
-        light[rows] = _through(viewing, position[rows], direction[rows], beyond, ~beside[rows])
+        light[rows] = _through(viewing, position[rows], direction[rows], beyond, met, lit)
     rows = np.flatnonzero(beside)
     if len(rows) and not viewing.opaque:
         light[rows], _ = seen(viewing, position[rows], direction[rows], np.inf)
@@ -275,8 +275,19 @@ def _one_line(viewing: Viewing, position: Floats, direction: Floats, wavelength:
     return light
 
 
-def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyond, met: Bools) -> Floats:
-    """Light of rays that met the sheet: of an object before it, else of what is seen through it, or black."""
+def _between(viewing: Viewing) -> Between:
+    """Light of objects between the sheets; lengths of the first window."""
+    scale = viewing.scale
+    return lambda position, direction, reach: seen(viewing, position / scale, direction, reach / scale)
+
+
+def _through(
+    viewing: Viewing, position: Floats, direction: Floats, beyond: Beyond, met: Bools, lit: Floats | None
+) -> Floats:
+    """Light of rays that met the sheet: of an object before it, else of what is seen through it, or black.
+
+    lit : (n, 3) or None. Of objects between sheets.
+    """
     light = np.zeros((len(position), 3))
     rows = np.flatnonzero(met)
     hidden = np.zeros(len(position), dtype=bool)
@@ -288,10 +299,12 @@ def _through(viewing: Viewing, position: Floats, direction: Floats, beyond: Beyo
         found = np.where(beyond.direction[shines, 2:] > 0.0, found * np.array(viewing.tint), found)
     if viewing.passage.plain:  # one ray beyond the sheet for each before it, its flux 1
         light[parent] = found
-        return light
-    found *= beyond.flux[shines, None]
-    for colour in range(3):
-        light[:, colour] += np.bincount(parent, found[:, colour], minlength=len(light))
+    else:
+        found *= beyond.flux[shines, None]
+        for colour in range(3):
+            light[:, colour] += np.bincount(parent, found[:, colour], minlength=len(light))
+    if lit is not None:
+        light[met & ~hidden] += lit[met & ~hidden]
     return light
 
 

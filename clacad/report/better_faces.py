@@ -99,10 +99,7 @@ class GainRow:
 class BeforeAndAfter:
     """What the page shows.
 
-    found : Optimised
-    before, after : Report
-        Of the start and the end, over the field of the search.
-    made : GainAsMade
+    before, after : Of the start and the end, over the field of the search.
     """
 
     found: Optimised
@@ -114,10 +111,7 @@ class BeforeAndAfter:
 def before_and_after(found: Optimised) -> BeforeAndAfter:
     """Measure both designs of a search for the page.
 
-    Raises
-    ------
-    DesignError
-        The search was interrupted before it found anything that can be built.
+    Raises DesignError: The search was interrupted before it found anything that can be built.
     """
     from clacad.optimising.gain_as_made import gain_as_made
 
@@ -137,7 +131,7 @@ def _measured(design: Design) -> Report:
 
     window = prescribe(design)
     facts = feasibility(window)
-    light, optics = judge_light(design, window, RAYS, POINT_RAYS)
+    light, optics = judge_light(design, window, RAYS, POINT_RAYS, judged_only=True)
     checks = accepted((*light, *design_checks(design, window, facts)), design)
     curves = meridians(window, lambda lit: trace(window, lit.rays, path="size"))
     return Report(design, window, facts, tuple(checks), optics, curves)
@@ -226,12 +220,7 @@ def page(shown: BeforeAndAfter) -> str:
 
 
 def html_file(path: str | os.PathLike[str]) -> Path:
-    """The path, if it names a page.
-
-    Raises
-    ------
-    BadRequest
-    """
+    """The path, if it names a page. Raises BadRequest."""
     file = Path(path)
     if file.suffix.lower() not in (".html", ".htm"):
         raise BadRequest(f"{file}: the page is one file that ends in .html")
@@ -241,7 +230,7 @@ def html_file(path: str | os.PathLike[str]) -> Path:
 def write_before_and_after(
     found: Optimised, out: str | os.PathLike[str], overwrite: bool = False
 ) -> GainAsMade:
-    """Write a page with a design before and after a search.
+    """Write a page that compares a design before and after `clacad.optimise`: spots, error maps, sections.
 
     Parameters
     ----------
@@ -260,6 +249,18 @@ def write_before_and_after(
     Raises
     ------
     BadRequest, ExportRefused, CannotWrite
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
+    >>> found = clacad.optimise(design, free=("radii",))
+    >>> page = Path(mkdtemp()) / "page.html"
+    >>> made = clacad.write_before_and_after(found, page)
+    >>> page.exists()
+    True
     """
     from clacad.storage.atomic import write_content
 

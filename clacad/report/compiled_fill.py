@@ -10,8 +10,6 @@ from clacad.base.types import Floats
 def fill(corners: Floats, bright: Floats, depth: Floats, shade: Floats) -> None:
     """Fill `shade` (h, w) with the brightness of the nearest of the triangles that face the eye.
 
-    Parameters
-    ----------
     corners : (t, 3, 3)
         Pixels to the right, pixels downwards, height towards the eye; counter-clockwise seen by the eye.
     bright : (t, 3)

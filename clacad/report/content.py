@@ -6,6 +6,7 @@ Drawings of the part are the views of `formats.drawing` with the measured light,
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,7 @@ from clacad.base.text import bound, mrad_text, plain, shown
 from clacad.checks.check import Origin
 from clacad.exporting.drawing import views
 from clacad.exporting.drawing.notes import allowances, orientation
-from clacad.report.rows import FabricationLine, LightRows, fabrication
+from clacad.report.rows import FabricationLine, LightRows, fabrication, fabrication_dict
 from clacad.sheet.feasibility import FactRow, describe
 from clacad.sheet.feasibility.as_rows import cells_text
 
@@ -121,23 +122,15 @@ class CheckRows:
 
     @property
     def groups(self) -> list[tuple[str, list[dict[str, Any]]]]:
-        """Checks by subject: light, geometry, each file, refinement; what did not pass comes first."""
-        groups: dict[str, list[Check]] = {}
-        for check in self.report.checks:
-            groups.setdefault(_title(check), []).append(check)
-        order = {"fail": 0, "not run": 1, "warn": 2, "pass": 3}
-        return [
-            (
-                title,
-                [
-                    row(c)
-                    for c in sorted(
-                        found, key=lambda c: order[c.state] if c.required else max(2, order[c.state])
-                    )
-                ],
-            )
-            for title, found in groups.items()
-        ]
+        """All checks, by subject."""
+        return _grouped(self.report.checks)
+
+    @property
+    def folded(self) -> tuple[Any, Any]:
+        """Checks that did not pass, and those that did, which the page folds; by subject."""
+        checks = self.report.checks
+        passed = [c for c in checks if c.state == "pass"]
+        return _grouped([c for c in checks if c.state != "pass"]), _grouped(passed)
 
     @property
     def process(self) -> str:
@@ -177,16 +170,10 @@ class CheckRows:
 class Content:
     """A report and the pictures of it, as rows of text.
 
-    report : Report
-        With its evidence.
-    look : Look
-    parts : Parts
-    timings : bool
-        Whether seconds of this run may be shown; without them the same input gives the same bytes.
-    whole : Window or None
-        The non-uniform sheet, where `report.window` is its uniform equivalent; None: `report.window`.
-    of_one_cell : str
-        Sentence about it; "" for a uniform sheet.
+    report : With its evidence.
+    timings : Whether seconds of this run may be shown; without them the same input gives the same bytes.
+    whole : The non-uniform sheet, where `report.window` is its uniform equivalent; None: `report.window`.
+    of_one_cell : Sentence about it; "" for a uniform sheet.
     of_viewer : bytes or None
         The view of the viewer of the check `viewed` as PNG; None for a viewer behind the sheet.
     """
@@ -291,7 +278,6 @@ class Content:
 def numbers(content: Content) -> dict[str, Any]:
     """All numbers of the page: the content of report.json."""
     from clacad.report.figures import budget_rows
-    from clacad.report.rows import fabrication_dict
 
     report = content.report
     found = report.to_dict() | {
@@ -302,6 +288,24 @@ def numbers(content: Content) -> dict[str, Any]:
     if content.timings:
         found["timings"] = content.evidence.ladder.measured()
     return found
+
+
+def _grouped(checks: Sequence[Check]) -> list[tuple[str, list[dict[str, Any]]]]:
+    """Rows of checks by subject: light, geometry, each file, refinement; what did not pass comes first."""
+    order = {"fail": 0, "not run": 1, "warn": 2, "pass": 3}
+    groups: dict[str, list[Check]] = {}
+    for check in checks:
+        groups.setdefault(_title(check), []).append(check)
+    return [
+        (
+            title,
+            [
+                row(c)
+                for c in sorted(found, key=lambda c: order[c.state] if c.required else max(2, order[c.state]))
+            ],
+        )
+        for title, found in groups.items()
+    ]
 
 
 def _title(check: Check) -> str:

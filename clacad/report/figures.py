@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.drawn_figure import drawn, no_formula
+from clacad.base.drawn_figure import drawn, inline_svg, no_formula
 from clacad.base.text import mrad_text, percent_text
 from clacad.light.measure import deviation
 from clacad.optics.rays import Fate, Rays
@@ -37,10 +37,8 @@ LETTER = 0.078
 class Margins:
     """Room about the panels of a figure and between them, inches.
 
-    left, right, bottom, top : float
-        From the figure's border to the outer panels.
-    across, down : float
-        Between panels side by side, and above one another.
+    left, right, bottom, top : From the figure's border to the outer panels.
+    across, down : Between panels side by side, and above one another.
     """
 
     left: float = 0.7
@@ -56,13 +54,7 @@ def panels(
 ) -> Any:
     """Axes of a figure in rows and columns; one alone as such, several as an array.
 
-    Parameters
-    ----------
-    figure : Figure
-    rows, columns : int
-    margins : Margins or None
-    options
-        Of `Figure.subplots`.
+    options : Of `Figure.subplots`.
     """
     room = Margins() if margins is None else margins
     width, height = figure.get_size_inches()
@@ -113,8 +105,7 @@ SPOT_RAYS = 300
 def svg(width: float, height: float, label: str, draw: Callable[[Figure], None]) -> str:
     """Draw a figure of the given size (inches) and return it as one <svg> element with a description."""
     text = drawn("svg", (width, height), draw, STYLE, creator=None, placed=True).decode()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
+    text = inline_svg(text)
     # names inside one drawing must not meet those of another drawing on the same page
     mark = re.sub(r"[^a-z]+", "-", label.lower())
     text = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{mark}-", text)

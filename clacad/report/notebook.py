@@ -46,6 +46,14 @@ def plot(thing: Design | Window | Report, figure: Figure | None = None) -> Figur
         The design cannot be built.
     TypeError
         Something else.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> figure = clacad.plot(design)
+    >>> [axes.get_xlabel() for axes in figure.axes]
+    ['z (mm)', 'incident slope']
     """
     from matplotlib.figure import Figure
 
@@ -58,7 +66,18 @@ def plot(thing: Design | Window | Report, figure: Figure | None = None) -> Figur
 
 
 def as_html(thing: Design | Window | Report) -> str:
-    """Picture as self-contained HTML below the text of `repr`; the reason if a design cannot be built."""
+    """Return what a notebook shows of a design, window or report: its text and a picture, as self-
+    contained HTML.
+
+    A design that cannot be built is shown with the reason.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> clacad.as_html(design).startswith("<div><pre>Design(")
+    True
+    """
     from clacad.config.mistakes import DesignError
     from clacad.prescription.radii import NoSuchLens
 

@@ -21,12 +21,7 @@ class PdfMissing(RuntimeError):
 
 
 def typesetter() -> Any:
-    """The module that sets the PDF.
-
-    Raises
-    ------
-    PdfMissing
-    """
+    """The module that sets the PDF. Raises PdfMissing."""
     try:
         import typst
     except ImportError as error:
@@ -37,12 +32,7 @@ def typesetter() -> Any:
 
 
 def pdf_bytes(content: Content) -> bytes:
-    """Set the report; the same content gives the same bytes.
-
-    Raises
-    ------
-    PdfMissing
-    """
+    """Set the report; the same content gives the same bytes. Raises PdfMissing."""
     typst = typesetter()
     with scratch_folder() as place:
         made = _document(content, _Shelf(place))
@@ -224,7 +214,7 @@ def _asked(content: Content) -> list[Block]:
     derived = [(about, *row) for about, rows in content.derived for row in rows]
     return [
         _heading("Specified and built"),
-        _table(("", "asked", "built or measured"), content.asked),
+        _table(("", "specified", "built or measured"), content.asked),
         _table(("", "", "", "unit", "what it means"), derived, (2,)),
     ]
 

@@ -54,10 +54,8 @@ class BodyTriangles:
 class Parts:
     """What is shown: the bodies of a window of a few cells, and rays through its middle.
 
-    cells : int
-        A side.
-    gap_built, gap_shown : float, lengths
-        Along z between the bodies; 0 for a slab.
+    cells : A side.
+    gap_built, gap_shown : lengths. Along z between the bodies; 0 for a slab.
     """
 
     pieces: tuple[BodyTriangles, ...]
@@ -81,7 +79,7 @@ class Parts:
 def parts(window: Window) -> Parts:
     """Mesh a window of a few cells for looking at."""
     from clacad.mesh import tessellate
-    from clacad.mesh.tessellation import corner_normals
+    from clacad.mesh.tessellation import shaded_rows
     from clacad.sheet.feasibility import body_range
 
     depth = window.z_range[1] - window.z_range[0]
@@ -91,9 +89,8 @@ def parts(window: Window) -> Parts:
     quads = 10 if cells <= 3 else 8 if cells <= 5 else 6
     pieces = []
     for body in tessellate(few, quads=quads).bodies:
-        corners = np.concatenate([np.asarray(rows, dtype=np.float64) for rows in body.rows()])
-        normals = np.concatenate(list(corner_normals(body)))
-        pieces.append(_welded(body.body.name, corners, normals))
+        corners, normals = zip(*shaded_rows(body), strict=True)
+        pieces.append(_welded(body.body.name, np.concatenate(corners), np.concatenate(normals)))
     gap = 0.0
     if len(few.bodies) > 1:
         gap = max(0.0, body_range(few, few.bodies[1])[0] - body_range(few, few.bodies[0])[1])
@@ -227,10 +224,8 @@ class Look:
     """Two pictures as PNG, and how they were made.
 
     without, through : bytes
-    how : str
-        Rung and effects, as planned.
-    scene : str
-        What is seen.
+    how : Rung and effects, as planned.
+    scene : What is seen.
     """
 
     without: bytes
@@ -245,9 +240,7 @@ class _Viewpoint:
     """Where the eye and the figure are, and how large the figure is: sheet frame, lengths.
 
     eye : (x, y, z)
-    figure : (x, z)
-        Its foot is on the floor, half its height below the axis.
-    height : float
+    figure : (x, z). Its foot is on the floor, half its height below the axis.
     """
 
     eye: tuple[float, float, float]

@@ -18,7 +18,7 @@ from clacad.checks.light_kinds import LAW_RMS, THROUGHPUT
 from clacad.imaging.best_point import spot_at
 from clacad.imaging.image_by_rays import RungImage, heights, image, reach_of
 from clacad.report.figures import ACCENT, BAD, FAINT, INK, SECOND, Margins, panels, room_for, svg
-from clacad.sheet.own_steps import greatest_steps
+from clacad.sheet.cell_heights import greatest_steps
 from clacad.verification.light.error_attribution import NAMES
 from clacad.verification.light.special_checks import IMAGE_RAYS as RAYS
 from clacad.verification.light.special_checks import asked_image

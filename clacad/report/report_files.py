@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.types import Progress, silent
+from clacad.base.interactive import shown_progress
+from clacad.base.types import Progress
 from clacad.base.untrusted_files import read_regular
+from clacad.report import content as contents
 from clacad.report import figures, plots
 from clacad.report.content import Content, assembly, data_uri, lens_detail, plan, telescopelet
 from clacad.report.plots import varying
@@ -75,7 +77,9 @@ def write_report(
     PdfMissing
         The extra package that sets the PDF is not installed.
     """
-    return _write_all(report, Path(folder), overwrite, progress or silent, more, pdf=pdf, timings=timings)
+    return _write_all(
+        report, Path(folder), overwrite, shown_progress(progress), more, pdf=pdf, timings=timings
+    )
 
 
 def _write_all(
@@ -89,8 +93,6 @@ def _write_all(
     timings: bool,
 ) -> tuple[Path, ...]:
     """Gather what is shown, write page, numbers, PDF and run facts; paths of all but the last."""
-    from clacad.report import content as contents
-
     if pdf:
         from clacad.report.pdf import pdf_bytes, typesetter
 
@@ -146,11 +148,8 @@ __all__ = ["SECTIONS", "Section", "number", "page", "sections"]
 class Section:
     """One section of the page.
 
-    anchor : str
-        Its address within the page.
-    title : str
-    body : str
-        HTML that needs no escaping; text of a design must have been escaped by the caller.
+    anchor : Its address within the page.
+    body : HTML that needs no escaping; text of a design must have been escaped by the caller.
     """
 
     anchor: str
@@ -261,14 +260,8 @@ def sections(content: Content, progress: Progress | None = None) -> list[Section
 def page(content: Content, mark: str, more: Sequence[Section] = (), progress: Progress | None = None) -> str:
     """The whole report as one HTML text that needs no network.
 
-    Parameters
-    ----------
-    content : Content
-    mark : str
-        Comment by which the page is known again.
-    more : sequence of Section
-        Appended after the page's own.
-    progress : callable or None
+    mark : Comment by which the page is known again.
+    more : Appended after the page's own.
     """
     from markupsafe import Markup
 

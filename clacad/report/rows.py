@@ -56,12 +56,7 @@ def _mrads(*angles: float) -> tuple[str, ...]:
 class LightRows:
     """Rows of tables, made from a report and the measurements in addition to its checks.
 
-    Parameters
-    ----------
-    report : Report
-    evidence : Evidence
-    timings : bool
-        Whether seconds of this run may be shown.
+    timings : Whether seconds of this run may be shown.
     """
 
     report: Report
@@ -200,10 +195,7 @@ class LightRows:
 class FabricationLine:
     """One line of the table.
 
-    about, name : str
-    value : tuple of float, or a word
-        In `unit`; two values are along x and y.
-    unit : str
+    value : tuple of float, or a word. In `unit`; two values are along x and y.
     """
 
     about: str
@@ -230,12 +222,8 @@ class FabricationLine:
 def fabrication(report: Report, sheet: Window | None = None) -> tuple[FabricationLine, ...]:
     """Lines of the fabrication table, lengths in millimetres.
 
-    Parameters
-    ----------
-    report : Report
-    sheet : Window or None
-        The whole sheet, where `report.window` is the uniform equivalent of one of its cells: its count and
-        sizes are reported.
+    sheet : The whole sheet, where `report.window` is the uniform equivalent of one of its cells: its count
+        and sizes are reported.
     """
     window, facts = report.window if sheet is None else sheet, report.facts
     mm = millimetres(window.unit)

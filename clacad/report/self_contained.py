@@ -29,4 +29,9 @@ def environment(*folders: Path) -> Environment:
 def one_script(*files: Path) -> tuple[str, str]:
     """The views' common script and these, in order, as one text; its SHA-256 as the content policy wants."""
     script = "".join(file.read_text(encoding="utf-8") for file in (HERE / "webgl.js", *files))
-    return script, base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
+    return script, policy_hash(script)
+
+
+def policy_hash(script: str) -> str:
+    """SHA-256 of a script as the content policy wants it."""
+    return base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")

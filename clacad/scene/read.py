@@ -59,10 +59,7 @@ def _as_scene_error() -> Iterator[None]:
 def put(data: Any, key: str, value: Any) -> Any:
     """Return the data with one key replaced; objects are found by id, design keys go into [sheet] set.
 
-    Raises
-    ------
-    LookupError
-        If there is no such part; the message names it.
+    Raises LookupError: If there is no such part; the message names it.
     """
     steps = key.split(".")
     several = isinstance(data, Mapping) and isinstance(data.get("sheet"), list)

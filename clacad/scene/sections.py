@@ -369,10 +369,7 @@ def keys_of_object(kind: object) -> dict[str, Key]:
 def scene_schema() -> JsonSchema:
     """Return the JSON Schema (2020-12) of a scene file, for editors that complete keys.
 
-    Returns
-    -------
-    dict
-        With `$schema`, `title` and one property for each key; unknown keys are refused, and each kind of
+    Returns: With `$schema`, `title` and one property for each key; unknown keys are refused, and each kind of
         object accepts only its own keys.
     """
     defined = {name: schema.table(keys) for name, keys in SECTIONS.items()}

@@ -33,14 +33,10 @@ class Bundle:
     """Rays over one cell of array 0.
 
     middle : (3,) unit direction at the centre of the field
-    field : float, radians
-        Half angle of the cone about `middle`; 0 is one direction.
-    aperture : float
-        Linear part of the cell that is lit (1: the whole cell).
+    field : radians. Half angle of the cone about `middle`; 0 is one direction.
+    aperture : Linear part of the cell that is lit (1: the whole cell).
     cell : (i, j)
-    rays : Rays
-    points : (n, 2) lengths
-        Point where each ray crosses z = 0, relative to the centre of the cell.
+    points : (n, 2) lengths. Point where each ray crosses z = 0, relative to the centre of the cell.
     """
 
     middle: Floats
@@ -85,19 +81,11 @@ def bundle(
 ) -> Bundle:
     """Launch rays over a cell of array 0 and a cone of directions.
 
-    Parameters
-    ----------
-    window : Window
-    count : int
-    field : float, radians
-        Half angle of the cone; 0 for parallel light.
+    field : radians. Half angle of the cone; 0 for parallel light.
     centre : "axis" or "normal"
-    aperture : float
-        Linear part of the cell that is lit, about its centre.
-    middle : (3,) or None
-        Axis of the cone in place of `centre`.
-    cell : (i, j) or None
-        Default: the central cell.
+    aperture : Linear part of the cell that is lit, about its centre.
+    middle : (3,) or None. Axis of the cone in place of `centre`.
+    cell : (i, j) or None. Default: the central cell.
     """
     chosen = central_cell(window) if cell is None else cell
     axis = middle_direction(window, centre) if middle is None else middle / np.linalg.norm(middle)
@@ -157,11 +145,7 @@ def asked_power(window: Window) -> Floats:
 class RequestedLaw:
     """Law and power of the pair that light through one cell is compared with.
 
-    Parameters
-    ----------
-    law : Law
-    power : (2,) 1/length or None
-        D along both lens axes; None for an afocal pair.
+    power : (2,) 1/length or None. D along both lens axes; None for an afocal pair.
     """
 
     law: Law
@@ -180,8 +164,7 @@ class RequestedLaw:
     def without_focus(self, points: Floats, direction: Floats) -> Floats:
         """Exit directions (n, 3), unit, without the effect of the requested focus.
 
-        points : (n, 2) lengths
-            Point where each ray crosses z = 0, relative to the centre of its cell.
+        points : (n, 2) lengths. Point where each ray crosses z = 0, relative to the centre of its cell.
         """
         if self.power is None:
             return direction

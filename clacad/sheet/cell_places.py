@@ -19,9 +19,7 @@ Law of each cell in sheets where cells have their own offset δ, and possibly th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import repeat
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,7 +28,7 @@ from numpy.typing import ArrayLike
 from clacad.base.pairs import Pair, pair, pair_sum, two_product
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.optics.law.focusing import Gradient, VaryingLaw, ratios_of, refract_each, with_ratios
-from clacad.sheet.pattern import turned_pairs
+from clacad.sheet.pattern import cosine_and_sine, turned, turned_pairs
 
 if TYPE_CHECKING:
     from clacad.optics.law import Law
@@ -39,19 +37,18 @@ if TYPE_CHECKING:
 DIRECTIONS = 64
 """Number of directions in which the farthest lenses are searched."""
 
+NO_REST = 1e-15
+"""Displacement per displacement that is rounding error."""
+
 
 @dataclass(frozen=True)
 class CellPlacement:
     """Position of the cells of one array.
 
-    Parameters
-    ----------
-    shift : (x, y), lengths
-        Displacement of the centre of the array from that of the lattice.
+    shift : (x, y), lengths. Displacement of the centre of the array from that of the lattice.
     pitch : (p_x, p_y) or None, lengths
         The array's own pitch; None: the lattice's. Hexagonal: p_y is ignored.
-    turn : float, radians
-        Rotation of the array about its centre, from +x to +y.
+    turn : radians. Rotation of the array about its centre, from +x to +y.
     """
 
     shift: Pair2 = (0.0, 0.0)
@@ -80,6 +77,30 @@ class CellPlacement:
         across = self.pitch[0] / base.pitch[0]
         return across, across if base.hexagonal else self.pitch[1] / base.pitch[1]
 
+    def aside(self, base: Lattice) -> Floats:
+        """Displacement (2, 2) of the array's cells per displacement of the lattice's, sheet axes."""
+        gx, gy = self.scale(base)
+        found = np.diag([gx - 1.0, gy - 1.0])
+        if self.turn:
+            less, (s, _) = 2.0 * cosine_and_sine(0.5 * self.turn)[1][0] ** 2, cosine_and_sine(self.turn)[1]
+            found += np.array([[-less, -s], [s, -less]]) * [gx, gy]
+        return found
+
+    def between(self, base: Lattice, share: Floats, shift: Pair2) -> tuple[CellPlacement, Floats]:
+        """Cells on the lines from those of `base` to this array's, at a `share` (2, 2) of the way.
+
+        They are displaced by `shift` (lengths). A lattice of rectangles that is turned and compressed is none
+        at other shares: the second value (2, 2) is what the nearest lattice lacks per displacement of a cell.
+        """
+        if not self.own:
+            return CellPlacement(shift), np.zeros((2, 2))
+        wanted = np.eye(2) + share @ self.aside(base)
+        turn = float(np.arctan2(wanted[1, 0] - wanted[0, 1], wanted[0, 0] + wanted[1, 1]))
+        x, y = np.einsum("ki,ki->i", turned(np.eye(2), turn).T, wanted).tolist()
+        place = CellPlacement(shift, (base.pitch[0] * x, base.pitch[1] * y), turn)
+        rest = wanted - np.eye(2) - place.aside(base)
+        return place, np.where(np.abs(rest) < NO_REST, 0.0, rest)
+
     def extent(self, base: Lattice) -> tuple[float, float, float, float]:
         """Bounding box (x_min, x_max, y_min, y_max) of the array's kept cells, sheet frame, lengths."""
         if self.turn:
@@ -95,9 +116,6 @@ class CellPlacement:
 class PlacedArrays:
     """Cells of several arrays; a `Window` is a sheet of them.
 
-    Attributes
-    ----------
-    lattice : Lattice
     placements : tuple of CellPlacement, one per array
     """
 
@@ -132,16 +150,11 @@ class LensPlaces:
     A lens of another size is the same shape scaled about its apex: h(r) becomes k h(r/k), and angles are
     unchanged.
 
-    Parameters
-    ----------
-    vertex : (3,) lengths
-        Apex of the face's lens.
+    vertex : (3,) lengths. Apex of the face's lens.
     moved : (..., 2) or None, lengths
         Lateral displacement of the apexes from `vertex`; None: all lenses are the face's lens.
-    rise : (...) lengths
-        Displacement of the apexes along z.
-    size : (...) or None
-        Scale factor k; None: 1 for all.
+    rise : (...) lengths. Displacement of the apexes along z.
+    size : (...) or None. Scale factor k; None: 1 for all.
     """
 
     vertex: tuple[float, float, float]
@@ -175,35 +188,28 @@ class LensPlaces:
             return x, y, z
         return x + self.moved[..., 0], y + self.moved[..., 1], z + self.rise
 
-    def each(self) -> Iterator[LensPlaces]:
-        """Iterate over the cells (n), one `LensPlaces` each."""
-        assert self.moved is not None
-        sizes = repeat(None) if self.size is None else self.size
-        return (LensPlaces(self.vertex, *one) for one in zip(self.moved, np.asarray(self.rise), sizes))
-
 
 @dataclass(frozen=True, eq=False)
 class VertexChange:
     """Displacement of each cell's lens from `Face.vertex`, an affine part plus a table, and its scale factor.
 
-    Parameters
-    ----------
     gradient : ((xx, xy), (yx, yy))
         Displacement per displacement of the cell's centre in the lattice (length per length).
-    table : (n1, n2, 2) array or None, lengths
-        Displacement added per cell; the first index of a hexagonal lattice is i + j // 2, the position in the
-        row.
-    slope : (along x, along y)
-        Rise in z per lateral displacement: tilted lenses that move in their own lens plane keep their
-        distance from lens 1.
+    table : (n1, n2, 2) array or None, lengths. Displacement added per cell; the first index of a hexagonal
+        lattice is i + j // 2, the position in the row.
+    slope : (along x, along y). Rise in z per lateral displacement: tilted lenses that move in their own lens
+        plane keep their distance from lens 1.
     size : (n1, n2) array or None
         Scale factor of each cell's lens relative to the face's lens; indexed as `table`. None: 1 for all.
+    climb : (along x, along y). Additional rise in z per displacement of the cell's centre in the lattice: of
+        lenses that do not move as their cells do.
     """
 
     gradient: tuple[Pair2, Pair2] = ((0.0, 0.0), (0.0, 0.0))
     table: Floats | None = None
     slope: Pair2 = (0.0, 0.0)
     size: Floats | None = None
+    climb: Pair2 = (0.0, 0.0)
 
     def at(self, lattice: Lattice, index: Ints) -> Floats:
         """Displacement (..., 2), lengths, of cells `index` (..., 2); 0 for cells left out of a table."""
@@ -212,9 +218,23 @@ class VertexChange:
         change = np.stack([xx * x + xy * y, yx * x + yy * y], axis=-1)
         return change if self.table is None else np.asarray(change + tabled(self.table, lattice, index, 0.0))
 
-    def rise(self, moved: Floats) -> Floats:
-        """Rise in z (...), lengths, of lenses with lateral displacement `moved` (..., 2), lengths."""
-        return np.asarray(moved @ np.array(self.slope))
+    @property
+    def level(self) -> bool:
+        """Whether all lenses have one height."""
+        return not any((*self.slope, *self.climb))
+
+    @property
+    def mirrored(self) -> VertexChange:
+        """Displacements of the lenses of a sheet turned over in z."""
+        (a, b), (c, d) = self.slope, self.climb
+        return replace(self, slope=(-a, -b), climb=(-c, -d))
+
+    def rise(self, lattice: Lattice, index: Ints, moved: Floats) -> Floats:
+        """Rise in z (...), lengths, of the lenses of cells `index` (..., 2), displaced by `moved` (..., 2),
+        lengths.
+        """
+        rise = np.asarray(moved @ np.array(self.slope))
+        return rise + lattice.centres(index) @ np.array(self.climb) if any(self.climb) else rise
 
     def places(self, vertex: tuple[float, float, float], lattice: Lattice, index: Ints) -> LensPlaces:
         """Positions of the lenses of the cells `index` (..., 2), relative to the lens at `vertex`,
@@ -222,15 +242,12 @@ class VertexChange:
         """
         moved = self.at(lattice, index)
         size = None if self.size is None else tabled(self.size, lattice, index, 1.0)
-        return LensPlaces(vertex, moved, self.rise(moved), size)
+        return LensPlaces(vertex, moved, self.rise(lattice, index, moved), size)
 
     def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> VertexChange:
         """Displacements of `count` cells in the centre of the lattice; a table is cut to them.
 
-        Raises
-        ------
-        ValueError
-            The table has fewer cells.
+        Raises ValueError: The table has fewer cells.
         """
         table, size = (
             None if whole is None else of_middle(whole, count, lattice) for whole in (self.table, self.size)
@@ -238,13 +255,25 @@ class VertexChange:
         return replace(self, table=table, size=size)
 
 
+def linear_change(gradient: Floats, climb: Floats) -> VertexChange | None:
+    """Lenses displaced by `gradient` (2, 2), raised by `climb` (2,), times their cell's; None for 0 and 0."""
+    if not gradient.any() and not climb.any():
+        return None
+    (a, b), (c, d) = gradient.tolist()
+    along, across = climb.tolist()
+    return VertexChange(((a, b), (c, d)), climb=(along, across))
+
+
+def lens_plane_slope(turn: Floats) -> Pair2:
+    """Rise along sheet x and y of a plane normal to the lens axis; turn (3, 3), lens → sheet."""
+    x, y, z = turn[:, 2].tolist()
+    return -x / z + 0.0, -y / z + 0.0
+
+
 def of_middle(table: Floats, count: tuple[int, int], lattice: Lattice) -> Floats:
     """Part of a table (n1, n2, ...) for `count` cells in the centre of its lattice.
 
-    Raises
-    ------
-    ValueError
-        The table has fewer cells.
+    Raises ValueError: The table has fewer cells.
     """
     over = [have - want for have, want in zip(table.shape[:2], count, strict=True)]
     if min(over) < 0:
@@ -255,16 +284,26 @@ def of_middle(table: Floats, count: tuple[int, int], lattice: Lattice) -> Floats
     return table[i : i + count[0], j : j + count[1]]
 
 
+def places_in_rows(lattice: Lattice, index: Ints) -> Ints:
+    """First index (...) in tables of the cells `index` (..., 2): i, or i + j // 2 of a hexagonal lattice."""
+    return index[..., 0] + index[..., 1] // 2 if lattice.hexagonal else index[..., 0]
+
+
+def as_table(lattice: Lattice, cells: Ints, each: Floats, beyond: float = 0.0) -> Floats:
+    """Table (n1, n2, ...) with `each` (n, ...) at the cells (n, 2), and `beyond` at others."""
+    table = np.full((*lattice.count, *each.shape[1:]), beyond)
+    table[places_in_rows(lattice, cells), cells[:, 1]] = each
+    return table
+
+
 def tabled(table: Floats, lattice: Lattice, index: Ints, beyond: float) -> Floats:
     """Entries of a table (n1, n2, ...) for the cells `index` (..., 2), and `beyond` for cells that are not
     kept.
 
-    The first index of the table of a hexagonal lattice is i + j // 2, the position in the row.
+    The first index is that of `places_in_rows`.
     """
     kept = lattice.contains(index)
-    i, j = index[..., 0], index[..., 1]
-    place = i + j // 2 if lattice.hexagonal else i
-    found = table[np.where(kept, place, 0), np.where(kept, j, 0)]
+    found = table[np.where(kept, places_in_rows(lattice, index), 0), np.where(kept, index[..., 1], 0)]
     return np.where(kept if table.ndim == 2 else kept[..., None], found, beyond)
 
 
@@ -313,17 +352,12 @@ class CellLaws:
     """Laws with common lens axes and a δ per cell: δ₀ + K C at the cell's centre C, or from a table; η may
     vary too.
 
-    Parameters
-    ----------
-    law : Law
-        Its δ is δ₀; a table replaces it.
-    gradient : ((K_xx, K_xy), (K_yx, K_yy)), 1/length
-        Rows: lens axes; columns: sheet axes.
+    law : Its δ is δ₀; a table replaces it.
+    gradient : ((K_xx, K_xy), (K_yx, K_yy)), 1/length. Rows: lens axes; columns: sheet axes.
     table : (n1, n2, 2) array or None
         δ of each cell, indexed as the table of `clacad.sheet.cell_places.VertexChange`.
-    ratios : (n1, n2) array or None
-        η, the ratio −f2/f1 of both lens axes, of each cell, given with such a table; None: the law's η in all
-        cells.
+    ratios : (n1, n2) array or None. η, the ratio −f2/f1 of both lens axes, of each cell, given with such a
+        table; None: the law's η in all cells.
     """
 
     law: Law
@@ -350,13 +384,7 @@ class CellLaws:
         return np.repeat(tabled(self.ratios, lattice, index, ratios_of(self.law)[0])[..., None], 2, axis=-1)
 
     def law_at(self, lattice: Lattice, index: ArrayLike) -> Law:
-        """Law of the cell `index` (2,).
-
-        Raises
-        ------
-        IndexError
-            No such cell is kept.
-        """
+        """Law of the cell `index` (2,). Raises IndexError: No such cell is kept."""
         cell = np.asarray(index, dtype=np.int64)
         if cell.shape != (2,) or not lattice.contains(cell):
             raise IndexError(f"the sheet has no cell {np.asarray(index).tolist()}")

@@ -37,11 +37,7 @@ def media_of(bodies: Sequence[Body], wavelength: float | None = None) -> tuple[f
     Of the two faces of a joint, the second has the same medium on both sides.
 
     wavelength : metres; None: the design wavelength
-
-    Raises
-    ------
-    ValueError
-        The wavelength lies outside a material's data.
+    Raises ValueError: The wavelength lies outside a material's data.
     """
     inside = [body.index_at(wavelength) for body in bodies]
     found = [1.0]

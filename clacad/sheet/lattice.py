@@ -7,6 +7,7 @@ coordinate in its cell.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,10 @@ import numpy as np
 from clacad.base.pairs import two_product, two_sum
 from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.pattern import Kind, Pattern, in_hexagon, turned, turned_pairs
-from clacad.sheet.plate import Plate
+from clacad.sheet.plate import Plate, whole_cells
+
+BLOCK = 1 << 15
+"""Cells listed at once."""
 
 
 def runs(columns: Ints) -> Ints:
@@ -126,29 +130,19 @@ class Lattice(Pattern):
 
     def cells(self) -> Ints:
         """List the kept cells, row by row, as (n, 2) indices."""
-        rows = [row for j in _rows(self) if len(row := self.row(j))]
-        return np.concatenate(rows) if rows else np.empty((0, 2), dtype=np.int64)
+        found = [np.empty((0, 2), dtype=np.int64), *_blocks(self)]
+        return np.concatenate(found)
 
     def row(self, j: int) -> Ints:
-        """List the kept cells of row j as (n, 2) indices;
-        memory is that of one row, limited to the outline's reach.
-        """
-        first = -(j // 2) if self.hexagonal else 0
-        last = first + self.count[0]
-        if self.outline is not None:
-            middle = -float(self.centres(np.array([[0, j]]))[0, 0]) / self.pitch[0]
-            reach = _half_sizes(self.outline)[0] / self.pitch[0] + 1.0
-            first, last = (int(max(first, min(last, end))) for end in (middle - reach, middle + reach + 1.0))
-        i = np.arange(first, last, dtype=np.int64)
-        index = np.stack([i, np.full_like(i, j)], axis=-1)
-        return index[self.contains(index)] if self.outline is not None else index
+        """List the kept cells of row j as (n, 2) indices."""
+        return _of_rows(self, np.array([j], dtype=np.int64))
 
     @property
     def cell_count(self) -> int:
         """Number of kept cells."""
         if self.outline is None:
             return self.count[0] * self.count[1]
-        return sum(len(self.row(j)) for j in _rows(self))
+        return sum(map(len, _blocks(self)))
 
     @property
     def holds_a_cell(self) -> bool:
@@ -252,17 +246,52 @@ class Lattice(Pattern):
         return np.column_stack([x, y])
 
 
+def _blocks(lattice: Lattice) -> Iterator[Ints]:
+    """Iterate over the kept cells (n, 2), some rows at once."""
+    rows = np.array(_rows(lattice), dtype=np.int64)
+    together = max(1, BLOCK // lattice.count[0])
+    return (_of_rows(lattice, rows[low : low + together]) for low in range(0, len(rows), together))
+
+
+def _of_rows(lattice: Lattice, rows: Ints) -> Ints:
+    """List the kept cells (n, 2) of rows (m,); memory is theirs, limited to the outline's reach."""
+    first = -(rows // 2) if lattice.hexagonal else np.zeros_like(rows)
+    last = first + lattice.count[0]
+    if lattice.outline is not None:
+        middle = -lattice.centres(np.stack([np.zeros_like(rows), rows], axis=-1))[:, 0] / lattice.pitch[0]
+        reach = _half_sizes(lattice.outline)[0] / lattice.pitch[0] + 1.0
+        first, last = (
+            np.maximum(first, np.minimum(last, end)).astype(np.int64)
+            for end in (middle - reach, middle + reach + 1.0)
+        )
+    number = last - first
+    i = np.arange(number.sum()) + np.repeat(first - (np.cumsum(number) - number), number)
+    index = np.stack([i, np.repeat(rows, number)], axis=-1)
+    return index[lattice.contains(index)] if lattice.outline is not None else index
+
+
 def _on_plate(lattice: Lattice, plate: Plate) -> Bools:
     """Which cells a plate holds, (n2, n1), each row from its first cell; computed once per pattern."""
     key = (lattice.kind, lattice.pitch, lattice.count)
     if key not in plate.kept:
         j, i = np.divmod(np.arange(lattice.count[0] * lattice.count[1]), lattice.count[0])
         first = -(j // 2) if lattice.hexagonal else np.zeros_like(j)
-        centres = lattice.centres(np.stack([i + first, j], axis=-1))
-        held = plate.holds(lattice.tile(), centres, plate.room(lattice.pitch))
+        held = whole_on_plate(lattice, plate, np.stack([i + first, j], axis=-1))
         plate.kept[key] = held.reshape(lattice.count[1], lattice.count[0])
     found: Bools = plate.kept[key]
     return found
+
+
+def whole_on_plate(lattice: Lattice, plate: Plate, index: Ints) -> Bools:
+    """Which cells (n, 2) a plate holds both where array 1 has them and where array 2 has them."""
+    held = whole_cells(plate, lattice.tile(), lattice.centres(index), plate.room(lattice.pitch))
+    pitch = lattice.pitch if plate.pitch is None else plate.pitch
+    if (plate.moved, pitch, plate.turn) != ((0.0, 0.0), lattice.pitch, 0.0):
+        second = replace(lattice, pitch=pitch, outline=None, turn=plate.turn)
+        held &= whole_cells(
+            plate, second.tile(), second.centres(index) + np.array(plate.moved), plate.room(pitch)
+        )
+    return held
 
 
 def _rows(lattice: Lattice) -> range:

@@ -5,7 +5,8 @@ of two neighbours the equivalent has the outer one twice, and the step at their 
 Where array 2 has another pitch, the equivalent's cells are as wide as those of the wider array, or as those
 of the array under test.
 
-`interfaces` gives one telescopelet as explicit surfaces, without cell borders.
+`interfaces` gives one telescopelet as explicit surfaces, without cell borders. `in_light` and `heated` give
+the window with other indices.
 """
 
 from __future__ import annotations
@@ -16,25 +17,35 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
+from clacad.base.vectors import xy
+from clacad.optics.surface.sag_and_normal import resized
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.face_order import refractions
 from clacad.sheet.lattice import Circle, Lattice, Outline
 from clacad.sheet.plate import Plate
 
 if TYPE_CHECKING:
+    from clacad.optics.rays import Rays
     from clacad.optics.sequence import Interface
-    from clacad.sheet.window import ThinPair, Window
+    from clacad.sheet.window import Body, Face, ThinPair, Window
 
 
 def like_cell(window: Window, index: Ints, widest: bool = True) -> Window:
     """Return the uniform equivalent of the cell at `index` (2,); a uniform window itself.
 
-    widest : bool
-        Whether its cells are as wide as those of the wider array; else as those of array 1.
+    widest : Whether its cells are as wide as those of the wider array; else as those of array 1.
     """
     scales = [max(place.scale(window.lattice)) for place in window.placements]
     wider = max(scales) if widest else 1.0
     return _of_width(window, index, (wider, wider))
+
+
+def named_cell(window: Window, cell: tuple[int, int], widest: bool = False) -> Window:
+    """Uniform equivalent of a cell, its name followed by that of the cell; a uniform window itself."""
+    if window.uniform:
+        return window
+    like = like_cell(window, np.array(cell, dtype=np.int64), widest)
+    return replace(like, name=f"{window.name} cell {cell[0]},{cell[1]}")
 
 
 def cell_of_array(window: Window, index: Ints, array: int) -> Window:
@@ -51,9 +62,8 @@ def _of_width(window: Window, index: Ints, wider: Pair2) -> Window:
         replace(body, front=window.in_cell(body.front, index), back=window.in_cell(body.back, index))
         for body in window.bodies
     )
-    places = tuple(
-        CellPlacement(_pair(window.centres(k, index) - first)) for k in range(len(window.placements))
-    )
+    bodies = tuple(body.simplified for body in bodies)
+    places = tuple(CellPlacement(xy(window.centres(k, index) - first)) for k in range(len(window.placements)))
     return replace(
         window,
         bodies=bodies,
@@ -80,7 +90,7 @@ def _thin_pair(window: Window, index: Ints, first: Floats) -> ThinPair:
         for focal, one in zip(pair.focal_length, lenses, strict=True)
     )
     alike = replace(pair, pitch=None, turn=0.0, change=None, change_1=None)
-    return replace(alike, focal_length=(focal_1, focal_2), offset=(x, y, z), shift=_pair(apart))
+    return replace(alike, focal_length=(focal_1, focal_2), offset=(x, y, z), shift=xy(apart))
 
 
 def _scaled(lattice: Lattice, factor: Pair2) -> Lattice:
@@ -96,21 +106,16 @@ def _larger(outline: Outline, factor: float) -> Outline:
     factor = max(factor, 1.0)
     if isinstance(outline, Circle):
         return Circle(outline.diameter * factor)
-    assert not isinstance(outline, Plate)  # plates are refused on non-uniform sheets
+    if isinstance(outline, Plate):
+        return outline.scaled(factor)
     return replace(outline, width=outline.width * factor, height=outline.height * factor)
-
-
-def _pair(v: Floats) -> Pair2:
-    return float(v[0]), float(v[1])
 
 
 def interfaces(window: Window, slide: Floats | None = None, aside: Floats | None = None) -> list[Interface]:
     """Faces of one telescopelet as explicit surfaces, the centre of cell 1 at x = y = 0.
 
-    slide : (3,) lengths or None
-        Displacement of lens 2: its faces, and the plane face of its body.
-    aside : (3,) lengths or None
-        Displacement of the field lens.
+    slide : (3,) lengths or None. Displacement of lens 2: its faces, and the plane face of its body.
+    aside : (3,) lengths or None. Displacement of the field lens.
     """
     from clacad.optics.sequence import Interface
 
@@ -131,3 +136,54 @@ def lens_distance(window: Window) -> float:
     if window.form == "plates":
         return window.bodies[-1].back.vertex[2] - window.bodies[0].front.vertex[2]
     return window.thin.separation * (window.bodies[0].index if window.form == "slab" else 1.0)
+
+
+def in_light(window: Window, wavelength: float) -> Window:
+    """The window with the indices of a wavelength (metres); ValueError outside a material's data."""
+    bodies = tuple(replace(body, index=body.index_at(wavelength)) for body in window.bodies)
+    return replace(window, bodies=bodies)
+
+
+def lit_by(window: Window, rays: Rays) -> Window:
+    """The window with the indices of the rays' one wavelength; itself at the design wavelength."""
+    return window if rays.wavelength is None else in_light(window, float(rays.wavelength[0]))
+
+
+def heated(window: Window, kelvin: float) -> Window:
+    """The window at a temperature `kelvin` higher, all lengths over the expansion of its first body.
+
+    Sheets of one material change their index only. Of several, each thickness grows by its own material,
+    and the radii of a joint by the mean of both; gaps of air keep their length. ValueError where no dn/dT, or
+    of several materials no expansion, is known.
+    """
+    bodies = tuple(body.heated(kelvin) for body in window.bodies)
+    if len({body.material for body in window.bodies}) == 1:
+        return replace(window, bodies=bodies)
+    grown = [kelvin * (_expansion(body) - _expansion(bodies[0])) for body in bodies]
+    found: list[Body] = []
+    z = bodies[0].front.vertex[2]
+    for number, body in enumerate(bodies):
+        front, back = body.front, body.back
+        if number and not body.joined:
+            z += front.vertex[2] - bodies[number - 1].back.vertex[2]
+        before = grown[number - 1] if number and body.joined else grown[number]
+        beyond = number + 1 < len(bodies) and bodies[number + 1].joined
+        behind = grown[number + 1] if beyond else grown[number]
+        front = _moved(front, z, 0.5 * (before + grown[number]))
+        z += (body.back.vertex[2] - body.front.vertex[2]) * (1.0 + grown[number])
+        found.append(replace(body, front=front, back=_moved(back, z, 0.5 * (grown[number] + behind))))
+    return replace(window, bodies=tuple(found))
+
+
+def _expansion(body: Body) -> float:
+    material = body.material
+    if material is None or material.thermal.expansion is None:
+        raise ValueError(f"{body.name}: the expansion of its material is not known")
+    return material.thermal.expansion
+
+
+def _moved(face: Face, z: float, growth: float) -> Face:
+    """The face at another height (length), its radii times 1 + growth."""
+    land = None if face.land is None else face.land + z - face.vertex[2]
+    vertex = (*face.vertex[:2], z)
+    return replace(face, surface=resized(face.surface, 1.0 + growth), vertex=vertex, land=land)

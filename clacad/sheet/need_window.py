@@ -8,12 +8,8 @@ from clacad.sheet.window import Window
 class CellsDiffer(ValueError):
     """A function for uniform sheets was called with a non-uniform sheet.
 
-    Parameters
-    ----------
-    what : str
-        The requested function.
-    instead : str
-        What works on such a sheet.
+    what : The requested function.
+    instead : What works on such a sheet.
     """
 
     code = "CL139"
@@ -32,10 +28,7 @@ class CellsDiffer(ValueError):
 def need_equal_cells(window: Window, what: str, instead: str = "") -> None:
     """Refuse a non-uniform window.
 
-    Raises
-    ------
-    CellsDiffer
-        The window is non-uniform; the message names the requested function and what works.
+    Raises CellsDiffer: The window is non-uniform; the message names the requested function and what works.
     """
     if not window.uniform:
         raise CellsDiffer(what, instead)
@@ -56,18 +49,10 @@ def equal_cells(window: Window, what: str, instead: str = "") -> Window:
 def need_window(value: object, verb: str, rest: str = "") -> None:
     """Refuse a value that is no window.
 
-    Parameters
-    ----------
     value : any
-    verb : str
-        Name of the public function that was called.
-    rest : str
-        Its other arguments, as written in a call.
-
-    Raises
-    ------
-    TypeError
-        The value is no `Window`; the message holds the call that works.
+    verb : Name of the public function that was called.
+    rest : Its other arguments, as written in a call.
+    Raises TypeError: The value is no `Window`; the message holds the call that works.
     """
     if isinstance(value, Window):
         return

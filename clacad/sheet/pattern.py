@@ -33,12 +33,9 @@ and index of the tile's corner at the node.
 class Pattern:
     """An endless pattern of identical cells; `Lattice` is a finite part of one.
 
-    Attributes
-    ----------
     kind : "square", "rectangular" or "hexagonal"
     pitch : (p_x, p_y), lengths
-    turn : float, radians
-        Rotation of the pattern, from +x to +y.
+    turn : radians. Rotation of the pattern, from +x to +y.
     """
 
     __slots__ = ()
@@ -103,6 +100,14 @@ class Pattern:
         """
         upright = _upright_tile(self.hexagonal, self.pitch)
         return turned(upright, self.turn) if self.turn else upright
+
+
+def section(base: Pattern, own: Pattern, wall: float = 0.0) -> Floats:
+    """Map (2, 2) from a cell of `base` to one of `own`, less half of a wall (length) along every border."""
+    across = (own.pitch[0], own.pitch[0] if own.hexagonal else own.pitch[1])
+    before = (base.pitch[0], base.pitch[0] if base.hexagonal else base.pitch[1])
+    found = np.diag([p / q * (1.0 - wall / p) for p, q in zip(across, before, strict=True)])
+    return turned(found.T, own.turn).T if own.turn else found
 
 
 def _step(step: Pair2, turn: float) -> Pair2:
@@ -188,10 +193,7 @@ def node_cells(pattern: Pattern) -> tuple[NodeCells, ...]:
     """
     if pattern.hexagonal:
         # Walking counter-clockwise about a corner, a cell's corner index advances by two.
-        return (
-            (((0, 0), 1), ((1, 0), 3), ((0, 1), 5)),
-            (((0, 0), 2), ((0, 1), 4), ((-1, 1), 0)),
-        )
+        return ((((0, 0), 1), ((1, 0), 3), ((0, 1), 5)), (((0, 0), 2), ((0, 1), 4), ((-1, 1), 0)))
     return ((((0, 0), 1), ((1, 0), 2), ((1, 1), 3), ((0, 1), 0)),)
 
 
@@ -207,10 +209,8 @@ def in_hexagon(
     """Cells (n, 2) that contain points, and the points relative to their centres, by steps across borders
     from a guess.
 
-    local : callable
-        Indices i, j (n,) each → the points relative to those cells' centres.
-    x, y : (n,) lengths
-        Points relative to the centre of cell (0, 0), rounded: for the guess.
+    local : Indices i, j (n,) each → the points relative to those cells' centres.
+    x, y : (n,) lengths. Points relative to the centre of cell (0, 0), rounded: for the guess.
     """
     pitch, row = pattern.pitch[0], pattern.row_height
     j: Floats = np.rint(y / row)

@@ -26,10 +26,8 @@ if TYPE_CHECKING:
 class BorderJoint(NamedTuple):
     """Joint between the two cells at a class of borders.
 
-    step : (di, dj)
-        Step from the left to the right cell: `lattice.steps[k]` of border class k.
-    stretches : int
-        Number of separate stretches along which the cells share height.
+    step : (di, dj). Step from the left to the right cell: `lattice.steps[k]` of border class k.
+    stretches : Number of separate stretches along which the cells share height.
     reaches : (start, end)
         Whether a stretch reaches the corner where the border starts (ends), seen from the left cell.
     """
@@ -42,11 +40,7 @@ class BorderJoint(NamedTuple):
 def count_pieces_and_holes(lattice: Lattice, joints: Sequence[BorderJoint]) -> tuple[int, int]:
     """Count the connected pieces of a body and the holes through it.
 
-    Parameters
-    ----------
-    lattice : Lattice
-    joints : sequence of BorderJoint
-        One for every class of borders, in the order of `lattice.steps`.
+    joints : One for every class of borders, in the order of `lattice.steps`.
     """
     glued = sum(joint.stretches * count_together(lattice, [(0, 0), joint.step]) for joint in joints)
     pieces = _count_pieces(lattice, [joint.step for joint in joints if joint.stretches])

@@ -15,7 +15,7 @@ A boundary is valid if no side has zero length and no two sides intersect.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import atan, ceil, pi, sqrt
 from typing import Any, Literal
@@ -66,25 +66,25 @@ class Hole:
 class Plate:
     """An outline of straight and round sides, counter-clockwise, and the holes in it.
 
-    Parameters
-    ----------
-    vertices : tuple of (x, y, bulge)
-        Lengths; bulge of the side from this vertex to the next.
-    holes : tuple of Hole
+    vertices : tuple of (x, y, bulge). Lengths; bulge of the side from this vertex to the next.
     moved : (x, y), lengths
-        Displacement at which every kept cell must lie inside as well: that of array 2's cells.
+        Displacement of array 2's cells, at which every kept cell must lie inside as well.
+    pitch : (p_x, p_y) or None, lengths. Pitch of array 2's cells; None: that of array 1's.
+    turn : radians. Rotation of array 2's cells about their common centre.
     """
 
     vertices: tuple[Vertex, ...]
     holes: tuple[Hole, ...] = ()
     moved: tuple[float, float] = (0.0, 0.0)
+    pitch: tuple[float, float] | None = None
+    turn: float = 0.0
 
     def __repr__(self) -> str:
         return f"Plate({len(self.vertices)} corners, {len(self.holes)} holes)"
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the constructor's values, without cached results."""
-        return {name: self.__dict__[name] for name in ("vertices", "holes", "moved")}
+        return {name: self.__dict__[name] for name in ("vertices", "holes", "moved", "pitch", "turn")}
 
     @cached_property
     def loops(self) -> tuple[Floats, ...]:
@@ -138,6 +138,14 @@ class Plate:
         share = low * (1.0 - 1e-9)
         return 0.5 * share * (x1 - x0), 0.5 * share * (y1 - y0)
 
+    def scaled(self, factor: float) -> Plate:
+        """Plate of arrays of one pitch, `factor` times as wide, with its holes."""
+        holes = tuple(
+            replace(hole, x=hole.x * factor, y=hole.y * factor, diameter=hole.diameter * factor)
+            for hole in self.holes
+        )
+        return Plate(tuple((x * factor, y * factor, bulge) for x, y, bulge in self.vertices), holes)
+
     def inside(self, points: Floats) -> Bools:
         """Which points (..., 2), lengths, lie in the material; see `clacad.sheet.plate_edges.inside`."""
         flat = np.asarray(points, dtype=np.float64).reshape(-1, 2)
@@ -152,22 +160,6 @@ class Plate:
         """Distance kept between a cell and every edge (length)."""
         x0, x1, y0, y1 = self.box
         return max(CLEARANCE * min(pitch), SLIVER * max(x1 - x0, y1 - y0, *self.reach))
-
-    def holds(self, tile: Floats, centres: Floats, room: float) -> Bools:
-        """Which cells lie wholly inside, at least `room` from every edge, both in place and displaced by
-        `moved`.
-
-        Parameters
-        ----------
-        tile : (m, 2), lengths
-            Corners of a cell relative to its centre, counter-clockwise.
-        centres : (n, 2), lengths
-        room : length
-        """
-        held = _whole_cells(self, tile, centres, room)
-        if self.moved != (0.0, 0.0):
-            held &= _whole_cells(self, tile, centres + np.array(self.moved), room)
-        return held
 
     def polygons(self, steps: int) -> tuple[Floats, ...]:
         """The loops as polygons (n, 2) of equal areas; an arc of angle φ becomes ⌈φ·steps/2π⌉ sides, at least
@@ -212,7 +204,13 @@ def _clear(plate: Plate, polygon: Floats) -> bool:
     )
 
 
-def _whole_cells(plate: Plate, tile: Floats, centres: Floats, room: float) -> Bools:
+def whole_cells(plate: Plate, tile: Floats, centres: Floats, room: float) -> Bools:
+    """Which cells lie wholly inside a plate, at least `room` from every edge.
+
+    tile : (m, 2), lengths. Corners of a cell relative to its centre, counter-clockwise.
+    centres : (n, 2), lengths
+    room : length
+    """
     held = np.ones(len(centres), dtype=bool)
     reach = float(np.hypot(*tile.T).max()) + room
     for edge in plate.edges:

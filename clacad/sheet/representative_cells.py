@@ -1,8 +1,7 @@
 """Cells that represent a whole sheet, by purpose: the one home of every rule.
 
 A rule is deterministic and fast: it computes no light. `tracing/worst_cell.py` chooses among the cells of
-"light"
-by rays.
+"light" by rays.
 """
 
 from __future__ import annotations
@@ -47,20 +46,13 @@ DIRECTIONS = 8
 def representative_cells(window: Window, purpose: Purpose, count: int = SAMPLED) -> Ints:
     """Kept cells (m, 2) that represent a sheet for a purpose.
 
-    Parameters
-    ----------
-    window : Window
-    purpose : str
-        displaced: of a non-uniform sheet, those whose lenses are displaced farthest, smallest, largest or
-        steepest.
-        drawing: the first, the middle, and the one whose lens lies farthest from its middle.
-        facets, light: displaced and sample, each once, in order.
-        file: of a uniform sheet, the middle, the corners, the middles of the sides, and a few at random.
-        forecast: the middle, then displaced for a non-uniform sheet.
-        rounding: one far from the middle, where coordinates are rounded most.
-        sample: spread evenly over the sheet.
-    count : int
-        Most cells of a sample.
+    purpose : str. displaced: of a non-uniform sheet, those whose lenses are displaced farthest, smallest,
+        largest or steepest. drawing: the first, the middle, and the one whose lens lies farthest from its
+        middle. facets, light: displaced and sample, each once, in order. file: of a uniform sheet, the
+        middle, the corners, the middles of the sides, and a few at random. forecast: the middle, then
+        displaced for a non-uniform sheet. rounding: one far from the middle, where coordinates are rounded
+        most. sample: spread evenly over the sheet.
+    count : Most cells of a sample.
     """
     return _RULES[purpose](window, count)
 

@@ -1,9 +1,8 @@
 """Several sheets in series: position of each window, and the planes between which each sheet acts.
 
-The stack's frame is that of its first sheet: z = 0 is that sheet's own plane, and lengths are in that
-sheet's unit.
-Other sheets are displaced along z only. Sheets of other units keep their own unit; lengths are converted
-where rays pass.
+The stack's frame is that of its first sheet: z = 0 is that sheet's own plane, and lengths are in that sheet's
+unit. Other sheets are displaced along z only. Sheets of other units keep their own unit; lengths are
+converted where rays pass.
 """
 
 from __future__ import annotations
@@ -12,8 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
 from string import ascii_lowercase
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from clacad.base.interactive import Tabular, columns_of
 from clacad.sheet.volume_and_extent import FIELD
 
 if TYPE_CHECKING:
@@ -33,15 +33,9 @@ class BadStack(ValueError):
 class StackedSheet:
     """One sheet of a stack.
 
-    Parameters
-    ----------
-    id : str
-        Name within the stack.
-    window : Window
-    z : float, length of the stack
-        Position of the sheet's own z = 0.
-    scale : float
-        Stack lengths per window length.
+    id : Name within the stack.
+    z : length of the stack. Position of the sheet's own z = 0.
+    scale : Stack lengths per window length.
     """
 
     id: str
@@ -63,7 +57,7 @@ class StackedSheet:
 
 
 @dataclass(frozen=True, eq=False)
-class Stack:
+class Stack(Tabular):
     """Sheets in the order light reaches them.
 
     Parameters
@@ -80,6 +74,22 @@ class Stack:
     def __repr__(self) -> str:
         return f"Stack({', '.join(f'{one.id}: {one.window.name!r} at {one.z:g}' for one in self.sheets)})"
 
+    def to_columns(self) -> dict[str, Any]:
+        """One row for each sheet: place of its z = 0, lowest and highest point of its material, lengths."""
+        rows = [
+            {
+                "sheet": one.id,
+                "design": one.window.name,
+                "form": one.window.form,
+                "cells": one.window.lattice.cell_count,
+                "z": one.z,
+                "low": one.span[0],
+                "high": one.span[1],
+            }
+            for one in self.sheets
+        ]
+        return columns_of(rows)
+
     @property
     def gaps(self) -> tuple[float, ...]:
         """Clear distances between neighbours, from material to material, lengths."""
@@ -89,19 +99,10 @@ class Stack:
 def stacked(windows: Sequence[Window], gaps: Sequence[float], ids: Sequence[str] | None = None) -> Stack:
     """Place windows in series.
 
-    Parameters
-    ----------
-    windows : sequence of Window
-        In the order light reaches them; one window may occur several times.
-    gaps : sequence of float
-        Clear distances between neighbours, ≥ 0, in the unit of the first window; one fewer than windows.
-    ids : sequence of str or None
-        Names; None: a, b, c, …
-
-    Raises
-    ------
-    BadStack
-        No windows or too many, a wrong number of gaps, or a gap that is negative or not finite.
+    windows : In the order light reaches them; one window may occur several times.
+    gaps : Clear distances between neighbours, ≥ 0, in the unit of the first window; one fewer than windows.
+    ids : Names; None: a, b, c, …
+    Raises BadStack: No windows or too many, a wrong number of gaps, or a gap that is negative or not finite.
     """
     names = [chr(ord("a") + k) for k in range(len(windows))] if ids is None else list(ids)
     if not 1 <= len(windows) <= MOST:
@@ -128,17 +129,10 @@ def stacked(windows: Sequence[Window], gaps: Sequence[float], ids: Sequence[str]
 def standing(sheets: Sequence[StackedSheet], unit: float, unit_name: str) -> Stack:
     """Combine sheets with given positions, in any order, into a stack.
 
-    Parameters
-    ----------
-    sheets : sequence of StackedSheet
-    unit : float, metres
-    unit_name : str
-        Used in the message.
-
-    Raises
-    ------
-    BadStack
-        Two of them overlap; the message names both, the overlap and a valid position of the second.
+    unit : metres
+    unit_name : Used in the message.
+    Raises BadStack: Two of them overlap; the message names both, the overlap and a valid position of the
+        second.
     """
     order = sorted(sheets, key=lambda one: one.span)
     for before, after in zip(order, order[1:]):

@@ -53,15 +53,10 @@ class ThinCells:
 
     zone : (m, 2) lengths
         Outline of the optical zone of either lens, relative to its own cell's centre, counter-clockwise.
-    image : (m, 2) lengths
-        Copy of the zone of lens 1 in the plane of lens 2 for light along the axis.
-    centre : (2,) lengths
-        Position of the centre of cell 2 in the plane of lens 2.
-    separation : float, length
-    part : float
-        Area of the optical zone over area of the cell (1 without a seam).
-    pair : ThinPair
-    window : Window
+    image : (m, 2) lengths. Copy of the zone of lens 1 in the plane of lens 2 for light along the axis.
+    centre : (2,) lengths. Position of the centre of cell 2 in the plane of lens 2.
+    separation : length
+    part : Area of the optical zone over area of the cell (1 without a seam).
     """
 
     zone: Floats
@@ -123,19 +118,10 @@ def _in_lens_plane(rotation: Floats, points: Floats) -> Floats:
 def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 0)) -> Floats:
     """Share of the light on a cell of array 1 that hits the cell of array 2 `order` steps from its partner.
 
-    Parameters
-    ----------
-    cells : ThinCells
-    directions : (n, 3) array
-        Incident directions, sheet frame, any length.
-    order : (i, j)
-        (0, 0) is the partner: light that obeys the law. Others are ghosts.
-
-    Returns
-    -------
-    (n,) array, 0 … 1
-        The sum over all orders is the optical zone's share of the cell (1 without a seam). A baffle
-        stops every ghost, and light that hits its walls.
+    directions : (n, 3) array. Incident directions, sheet frame, any length.
+    order : (i, j). (0, 0) is the partner: light that obeys the law. Others are ghosts.
+    Returns (n,) array, 0 … 1: The sum over all orders is the optical zone's share of the cell (1 without a
+        seam). A baffle stops every ghost, and light that hits its walls.
     """
     if cells.window.baffle is not None and order != (0, 0):
         return np.zeros(len(np.asarray(directions)))
@@ -174,21 +160,17 @@ def order_shares(cells: ThinCells, direction: Floats) -> dict[tuple[int, int], f
 def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
     """Share (n,) of the light of one direction per cell that hits the partner of that cell, thin lenses.
 
-    Parameters
-    ----------
-    window : Window
-        Uniform or not.
-    index : (n, 2) ints
-        Cells of array 0.
-    directions : (n, 3) array
-        Incident directions, sheet frame, any length.
+    window : Uniform or not.
+    index : (n, 2) ints. Cells of array 0.
+    directions : (n, 3) array. Incident directions, sheet frame, any length.
     """
     cells = thin_cells(window)
     ratio = scale_of_image(cells, index)
     if not window.thin.second.own and ratio is None:
         return share(cells, directions)
-    arrival = off_partner(cells, index, cells.slopes(directions))
-    return share_of_zone(cells, arrival, ratio)
+    slopes = cells.slopes(directions)
+    through = _in_channels(cells, slopes, _partner_apart(cells, index))
+    return share_of_zone(cells, off_partner(cells, index, slopes), ratio) * through
 
 
 def share_of_zone(cells: ThinCells, shift: Floats, ratio: Floats | None) -> Floats:
@@ -213,22 +195,22 @@ def off_partner(cells: ThinCells, index: Ints, slopes: Floats) -> Floats:
     """Displacement (n, 2) of the centre of the copy of lens 1's zone from its partner's centre, in the plane
     of lens 2.
 
-    Parameters
-    ----------
-    cells : ThinCells
-        Of a uniform or non-uniform window.
-    index : (n, 2) ints
-        Cells of array 0 through which the light comes.
-    slopes : (n, 2)
-        Incident slopes, lens frame.
+    cells : Of a uniform or non-uniform window.
+    index : (n, 2) ints. Cells of array 0 through which the light comes.
+    slopes : (n, 2). Incident slopes, lens frame.
     """
-    window, pair = cells.window, cells.pair
-    arrival = arrivals(cells, slopes) - cells.centre
-    if not pair.second.own:
-        return np.asarray(arrival)
-    own = _second_array(window)
-    apart = own.centres(index) - window.lattice.centres(index)
-    return np.asarray(arrival - _in_lens_plane(pair.rotation, apart))
+    apart = _partner_apart(cells, index)
+    arrival = arrivals(cells, slopes, apart) - cells.centre
+    return np.asarray(arrival if apart is None else arrival - _in_lens_plane(cells.pair.rotation, apart))
+
+
+def _partner_apart(cells: ThinCells, index: Ints) -> Floats | None:
+    """Displacement (n, 2) of the partners of cells `index` (n, 2) beyond that of the middle (lengths);
+    None where all are displaced alike.
+    """
+    if not cells.pair.second.own:
+        return None
+    return np.asarray(_second_array(cells.window).centres(index) - cells.window.lattice.centres(index))
 
 
 def partner_zone(cells: ThinCells) -> Floats:
@@ -253,9 +235,12 @@ def _second_array(window: Window) -> Lattice:
     return window.thin.second.lattice(window.lattice)
 
 
-def arrivals(cells: ThinCells, slopes: Floats) -> Floats:
+def arrivals(cells: ThinCells, slopes: Floats, apart: Floats | None = None) -> Floats:
     """Position (n, 2) of the centre of the copy of lens 1's zone in the plane of lens 2, for light of
     lens-frame slopes (n, 2); lengths.
+
+    apart : (n, 2) lengths or None
+        Displacement of the partner of each cell, which field lenses follow; sheet frame.
     """
     pair = cells.pair
     if not pair.field:
@@ -264,26 +249,35 @@ def arrivals(cells: ThinCells, slopes: Floats) -> Floats:
     arrival = np.empty_like(slopes)
     for lens in pair.field:
         powered = [axis for axis in (0, 1) if np.isfinite(lens.focal_length[axis])]
-        vertex = pair.field_centre(lens) @ pair.rotation
-        met = np.tile(vertex, (len(slopes), 1))
+        vertex = np.tile(pair.field_centre(lens) @ pair.rotation, (len(slopes), 1))
+        centre, lattice = cells.centre, cells.window.lattice
+        if apart is not None:
+            across = _in_lens_plane(pair.rotation, apart)
+            vertex[:, :2] += lens.depth / pair.separation * across
+            centre, lattice = centre + across, pair.field_place(lens, lattice)[0].lattice(lattice)
+        met = vertex.copy()
         met[:, powered] = lens.depth * slopes[:, powered]
         aside = (met - vertex) @ pair.rotation.T
-        index, _ = relocate(cells.window.lattice, aside[:, :2])
-        lattice = cells.window.lattice
-        steps = index @ np.array([lattice.a1, lattice.a2])
-        moved = cells.centre + (1.0 - ratio) * _in_lens_plane(pair.rotation, steps)
+        index, _ = relocate(lattice, aside[:, :2])
+        steps = index @ np.array([lattice.offset(1, 0), lattice.offset(0, 1)])
+        moved = centre + (1.0 - ratio) * _in_lens_plane(pair.rotation, steps)
         arrival[:, powered] = moved[:, powered]
     return arrival
 
 
-def _in_channels(cells: ThinCells, slopes: Floats) -> Bools:
-    """Whether light of lens-frame slopes (n, 2) passes a baffle that ends at the field lens, (n,)."""
+def _in_channels(cells: ThinCells, slopes: Floats, apart: Floats | None = None) -> Bools:
+    """Whether light of lens-frame slopes (n, 2) passes a baffle that ends at the field lens, (n,).
+
+    apart : as in `arrivals`
+    """
     open_to = np.ones(len(slopes), dtype=bool)
     window, pair = cells.window, cells.pair
     if window.baffle is None:
         return open_to
     for lens in pair.field:
         aside = lens.depth * slopes - (pair.field_centre(lens) @ pair.rotation)[:2]
+        if apart is not None:
+            aside = aside - lens.depth / pair.separation * _in_lens_plane(pair.rotation, apart)
         met = aside @ pair.rotation[:, :2].T
         for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):
             along = met[:, :2] @ np.asarray(window.lattice.offset(*step)) / (2.0 * half)

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from clacad.base.polygons import polygon_area
 from clacad.base.types import Floats, Ints
-from clacad.sheet.cell_places import CellPlacement, LensPlaces
+from clacad.sheet.cell_places import CellPlacement
+from clacad.sheet.face_order import plates_of
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
@@ -72,18 +73,13 @@ def _volume_cell_by_cell(window: Window, body: Body) -> Integral | None:
 
     None where a lens ends inside its cell, at its rim or where front and back intersect.
     """
+    from clacad.sheet.cell_heights import lens_integrals
+
     outline, cells = window.outline, window.lattice.cells()
     if body.columnar and _meets_itself(window, body, cells):
         return None
     array = body.arrays[0]
-    if outline is None:
-        whole = len(cells) * window.lattice_of(array).cell_area
-    elif isinstance(outline, Circle):
-        whole = 0.25 * pi * outline.diameter**2
-    elif isinstance(outline, Plate):
-        whole = outline.area
-    else:
-        whole = outline.width * outline.height
+    whole = len(cells) * window.lattice_of(array).cell_area if outline is None else _area(outline)
     value = error = 0.0
     for face, sign in ((body.back, 1.0), (body.front, -1.0)):
         if face.array is None:
@@ -91,11 +87,11 @@ def _volume_cell_by_cell(window: Window, body: Body) -> Integral | None:
             continue
         zone = optical_tile(window, face.array)
         lenses = len(cells) * abs(polygon_area(zone))
-        each = [_lens_integrals(window, face, zone, cells, parts) for parts in (2, 4)]
-        if not np.isfinite(each[1]).all():
+        found = lens_integrals(window, face, _parallelograms(zone), cells)
+        if found is None:
             return None
-        value += sign * (float(each[1].sum()) + (face.land or 0.0) * max(0.0, whole - lenses))
-        error += float(np.abs(each[1] - each[0]).sum()) + 1e-15 * abs(value)
+        value += sign * (found[0] + (face.land or 0.0) * max(0.0, whole - lenses))
+        error += found[1] + 1e-15 * abs(value)
     return Integral(value, error)
 
 
@@ -111,25 +107,6 @@ def _at_corners(window: Window, face: Face, cells: Ints) -> Floats:
     places = window.lenses(face, cells[:, None])
     x, y = places.seen(*optical_tile(window, face.array).T[:, None])
     return places.raised(lens_height(face, x.ravel(), y.ravel()).reshape(x.shape))
-
-
-def _lens_integrals(window: Window, face: Face, zone: Floats, cells: Ints, parts: int) -> Floats:
-    """Integrals (n,) of a face's height over optical zones of cells (n, 2), parts² boxes each part."""
-    low = np.arange(parts) / parts
-    boxes = np.stack(np.meshgrid(low, low, indexing="ij"), axis=-1).reshape(-1, 2)
-
-    def over_zone(places: LensPlaces) -> float:
-        def height(x: Floats, y: Floats) -> Floats:
-            return places.raised(lens_height(face, *places.seen(x, y)))
-
-        return sum(
-            abs(float(u[0] * v[1] - u[1] * v[0])) * float(_rule(height, o, u, v, boxes, 1.0 / parts).sum())
-            for o, u, v in _parallelograms(zone)
-        )
-
-    if face.change is None:
-        return np.full(len(cells), over_zone(window.lenses(face, None)))
-    return np.array([over_zone(places) for places in window.lenses(face, cells).each()])
 
 
 def grams(body: Body, cubic: float) -> float | None:
@@ -159,12 +136,10 @@ def _footprint_area(window: Window, body: Body) -> float | None:
     outline = window.outline
     if outline is None:
         return window.lattice.cell_count * window.lattice.cell_area
-    if isinstance(outline, Plate):
-        return outline.area
     shifts = {
         face.array: window.shifts[face.array] for face in (body.front, body.back) if face.array is not None
     }
-    if len(shifts) == 2 and len(set(shifts.values())) == 2:
+    if len(shifts) == 2 and len(set(shifts.values())) == 2 and not isinstance(outline, Plate):
         x0, x1, y0, y1 = window.lattice.extent()
         corner = (
             max(abs(x + dx) for x in (x0, x1) for dx, _ in shifts.values()),
@@ -172,6 +147,12 @@ def _footprint_area(window: Window, body: Body) -> float | None:
         )
         if not _holds(outline, *corner):
             return None
+    return _area(outline)
+
+
+def _area(outline: Circle | Rectangle | Plate) -> float:
+    if isinstance(outline, Plate):
+        return outline.area
     if isinstance(outline, Circle):
         return 0.25 * pi * outline.diameter**2
     return outline.width * outline.height
@@ -334,18 +315,10 @@ def least_extent(window: Window) -> tuple[float, float, float, float]:
 def distance_to_face(window: Window, face: Face, points: Floats, inside: Floats) -> Floats:
     """Vertical distance of points to the surfaces of a face: its lens and its land.
 
-    Parameters
-    ----------
-    points : (n, k, 3) array, design units
-        Sheet frame.
-    inside : (n, 2) array
-        A point of each group's own cell; all k points are compared with that cell's lens, so that points on a
-        border are compared with the right neighbour.
-
-    Returns
-    -------
-    (n, k) array
-        Infinite where the face has neither lens nor land.
+    points : (n, k, 3) array, design units. Sheet frame.
+    inside : (n, 2) array. A point of each group's own cell; all k points are compared with that cell's lens,
+        so that points on a border are compared with the right neighbour.
+    Returns (n, k) array: Infinite where the face has neither lens nor land.
     """
     if face.array is None:
         return distance_in_cell(window, face, points, np.zeros((len(points), 2), dtype=np.int64))
@@ -379,28 +352,22 @@ class NoFixture(ValueError):
     exit_status = 2
 
 
-def bodies_apart(window: Window, what: str) -> tuple[Body, ...]:
-    """Bodies of the arrays and of the field lens between them, in the order light reaches them.
+def plates_apart(window: Window, what: str) -> tuple[tuple[Body, ...], ...]:
+    """Bodies of each plate, in the order light reaches them.
 
-    Raises
-    ------
-    NoFixture
-        The window is one slab, or a list of plates.
+    Raises NoFixture: The window is one plate.
     """
-    if window.form == "plates":
-        raise NoFixture(f"a {what} between listed plates is not made")
-    if len(window.bodies) < 2:
-        raise NoFixture(f"a {what} lies between two arrays; {window.name} is one slab")
-    return window.bodies
+    plates = plates_of(window.bodies)
+    if len(plates) < 2:
+        kind = "plate of several glasses" if len(window.bodies) > 1 else "slab"
+        raise NoFixture(f"a {what} lies between two arrays; {window.name} is one {kind}")
+    return plates
 
 
 def plane_of(body: Body, side: int) -> float:
     """Height (length) of the flat that a fixture touches: land or plane of a body's back (+1) or front (−1).
 
-    Raises
-    ------
-    NoFixture
-        The body has no flat there.
+    Raises NoFixture: The body has no flat there.
     """
     face = body.back if side > 0 else body.front
     if face.array is None:

@@ -25,8 +25,23 @@ from numpy.typing import ArrayLike, NDArray
 from clacad.base.types import Floats, Ints
 from clacad.optics.surface.intersection import meet
 from clacad.optics.surface.roots import upright_sag
-from clacad.optics.surface.sag_and_normal import Biconic, EvenPolynomial, Quadric, other_side, resized
-from clacad.sheet.cell_places import CellLaws, CellPlacement, LensPlaces, PlacedArrays, VertexChange
+from clacad.optics.surface.sag_and_normal import (
+    Biconic,
+    EvenPolynomial,
+    Quadric,
+    other_side,
+    resized,
+    simplest,
+)
+from clacad.sheet.cell_places import (
+    CellLaws,
+    CellPlacement,
+    LensPlaces,
+    PlacedArrays,
+    VertexChange,
+    lens_plane_slope,
+    linear_change,
+)
 from clacad.sheet.lattice import Lattice, Outline, Rectangle, grown
 from clacad.sheet.pattern import turned
 
@@ -66,6 +81,8 @@ class Face:
         the face has a hole where the lenslet does not reach.
     change : VertexChange or None
         Displacement of each cell's lens from `vertex`, and its scale factor; None: all lenses are alike.
+    sunk : bool
+        Whether the land protrudes from the lens, not the lens from it: the second face of a joint.
     """
 
     surface: Surface
@@ -74,11 +91,18 @@ class Face:
     array: int | None = None
     land: float | None = None
     change: VertexChange | None = None
+    sunk: bool = False
 
     @property
     def untilted(self) -> bool:
         """Whether lens and sheet axes coincide exactly, so that no rotation is applied."""
         return bool(np.array_equal(self.rotation, IDENTITY))
+
+    @property
+    def simplified(self) -> Face:
+        """The same points with a surface whose rays need no iteration, where there is one (`simplest`)."""
+        surface = simplest(self.surface)
+        return self if surface is self.surface else replace(self, surface=surface)
 
     @property
     def blind(self) -> int:
@@ -96,7 +120,7 @@ class Face:
     @property
     def seen_from_behind(self) -> Face:
         """The same points as a face of the body on the other side: a joint's second face."""
-        return replace(self, surface=other_side(self.surface))
+        return replace(self, surface=other_side(self.surface), sunk=not self.sunk)
 
     @property
     def side(self) -> int:
@@ -105,6 +129,11 @@ class Face:
         A face keeps the side it was built with; the curvature carries the sign (concave < 0).
         """
         return int(self.surface.side)
+
+    @property
+    def land_side(self) -> int:
+        """+1 where the land lies on the +z side of the lens, −1 on its −z side."""
+        return -self.side if self.sunk else self.side
 
 
 def arrays_between(front: int | None, back: int | None) -> tuple[int, ...]:
@@ -116,6 +145,8 @@ def arrays_between(front: int | None, back: int | None) -> tuple[int, ...]:
 class Body:
     """Material between two faces, cut into cells by walls along z.
 
+    Parameters
+    ----------
     front : Face
         The face light reaches first; the material is behind it.
     back : Face
@@ -135,6 +166,11 @@ class Body:
     name: str
     material: Material | None = None
     joined: bool = False
+
+    @property
+    def simplified(self) -> Body:
+        """The same body with faces whose rays need no iteration, where there are any (`simplest`)."""
+        return replace(self, front=self.front.simplified, back=self.back.simplified)
 
     @property
     def arrays(self) -> tuple[int, ...]:
@@ -186,10 +222,8 @@ class Body:
 class FieldLens:
     """An ideal lens at a common focus: it images lens 1 onto lens 2 in its meridians with power.
 
-    focal_length : (f_x, f_y), lengths
-        Infinite in a meridian without power.
-    depth : float, length
-        Distance from lens 1 along the lens axis.
+    focal_length : (f_x, f_y), lengths. Infinite in a meridian without power.
+    depth : length. Distance from lens 1 along the lens axis.
     """
 
     focal_length: tuple[float, float]
@@ -200,25 +234,16 @@ class FieldLens:
 class ThinPair:
     """The ideal counterpart of the real pair: two thin lenses; an afocal pair shares a focal plane.
 
-    focal_length : ((f1x, f1y), (f2x, f2y)), lengths
-        Infinite in a meridian without power.
-    offset : (3,) lengths
-        Centre of lens 2 minus centre of lens 1, sheet frame, in air: R (d_x, d_y, s).
-    rotation : (3, 3)
-        Lens → sheet, common to both lenses.
-    shift : (2,) lengths
-        Displacement of the cells of array 2 from those of array 1 in the thin model.
-    pitch : (p_x, p_y) or None, lengths
-        Pitch of array 2's cells; None: the lattice's.
-    turn : float, radians
-        Rotation of array 2's cells about their centre.
-    change : VertexChange or None
-        Displacement of lens 2 in its cell, relative to the central cell's, and its scale factor, for each
-        cell.
-    change_1 : VertexChange or None
-        Scale factor of lens 1 of each cell; None: all are alike.
-    field : tuple of FieldLens
-        In the order light reaches them: none, one, or two where the meridians have different foci.
+    focal_length : ((f1x, f1y), (f2x, f2y)), lengths. Infinite in a meridian without power.
+    offset : (3,) lengths. Centre of lens 2 minus centre of lens 1, sheet frame, in air: R (d_x, d_y, s).
+    rotation : (3, 3). Lens → sheet, common to both lenses.
+    shift : (2,) lengths. Displacement of the cells of array 2 from those of array 1 in the thin model.
+    pitch : (p_x, p_y) or None, lengths. Pitch of array 2's cells; None: the lattice's.
+    turn : radians. Rotation of array 2's cells about their centre.
+    change : Displacement of lens 2 in its cell, relative to the central cell's, and its scale factor, for
+        each cell.
+    change_1 : Scale factor of lens 1 of each cell; None: all are alike.
+    field : In the order light reaches them: none, one, or two where the meridians have different foci.
     """
 
     focal_length: tuple[tuple[float, float], tuple[float, float]]
@@ -258,17 +283,21 @@ class ThinPair:
         middle = np.array([x, y, float(across @ axis) / axis[2]])  # centre of cell 2, in the plane of lens 2
         return np.asarray(middle * (lens.depth / self.separation))
 
+    def field_place(self, lens: FieldLens, lattice: Lattice) -> tuple[CellPlacement, VertexChange | None]:
+        """Cells of a field lens on the lines from cells 1 to cells 2, and displacement of its lenses."""
+        x, y, _ = self.field_centre(lens).tolist()
+        place, rest = self.second.between(lattice, lens.depth / self.separation * np.eye(2), (x, y))
+        climb = np.array(lens_plane_slope(self.rotation)) @ (rest + place.aside(lattice))
+        return place, linear_change(rest, climb)
+
 
 @dataclass(frozen=True)
 class Land:
     """The flat land between and around the lenslets.
 
-    seam : float
-        Width of the land between two lenslets (length); each cell's lens ends seam/2 from its border.
-    opaque : bool
-        Whether land stops light (fate VIGNETTED) or transmits it (fate LAND).
-    border : float
-        Width of plain land around the cells (length).
+    seam : Width of the land between two lenslets (length); each cell's lens ends seam/2 from its border.
+    opaque : Whether land stops light (fate VIGNETTED) or transmits it (fate LAND).
+    border : Width of plain land around the cells (length).
     """
 
     seam: float = 0.0
@@ -364,7 +393,7 @@ class Window(PlacedArrays):
     def level_and_straight(self) -> bool:
         """Whether arrays lie along the sheet's axes and a face's lenses have one size and height."""
         return not any(place.turn for place in self.placements) and not any(
-            face.change is not None and (any(face.change.slope) or face.change.size is not None)
+            face.change is not None and not (face.change.level and face.change.size is None)
             for face in self.faces
         )
 
@@ -509,16 +538,9 @@ def in_optical_tile(window: Window, x: Floats, y: Floats, array: int = 0) -> NDA
 def lens_height(face: Face, x: Floats, y: Floats) -> Floats:
     """Sheet-frame height of a lenslet over points of its cell frame.
 
-    Parameters
-    ----------
-    face : Face
-    x, y : (n,) arrays, lengths
-        Cell frame.
-
-    Returns
-    -------
-    (n,) array, lengths
-        NaN where the lenslet has no point above (x, y), or beyond the equator of the surface.
+    x, y : (n,) arrays, lengths. Cell frame.
+    Returns (n,) array, lengths: NaN where the lenslet has no point above (x, y), or beyond the equator of the
+        surface.
 
     Notes
     -----
@@ -563,8 +585,7 @@ def column(
 ) -> tuple[Floats, Floats]:
     """Front and back height of a columnar body's column over cell-frame points, (n,) each, lengths.
 
-    index : (n, 2) or None
-        The points' cells, for a non-uniform sheet.
+    index : (n, 2) or None. The points' cells, for a non-uniform sheet.
 
     The height is the lens's where the lens protrudes from the land inside its optical zone, and the land's
     elsewhere. It is NaN in both where there is no material (outside the rim of a lens without a web).
@@ -592,7 +613,7 @@ def face_height(window: Window, face: Face, x: Floats, y: Floats, index: Ints | 
     lens = _in_zone(window, face, x, y, index)
     if face.land is None:
         return lens
-    proud = np.fmin(lens, face.land) if face.side > 0 else np.fmax(lens, face.land)
+    proud = np.fmin(lens, face.land) if face.land_side > 0 else np.fmax(lens, face.land)
     return np.asarray(proud)
 
 

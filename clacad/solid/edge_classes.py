@@ -26,17 +26,12 @@ if TYPE_CHECKING:
 class Levels:
     """Vertices on one vertical line.
 
-    Attributes
-    ----------
-    z : tuple of float, mm
-        Ascending.
-    shift : tuple of float, mm
-        Largest distance of the heights that share a vertex from it.
+    z : mm. Ascending.
+    shift : mm. Largest distance of the heights that share a vertex from it.
     place : place[sector][face] = number of the vertex, or None (no height, or open)
-    copies : for each gap between consecutive vertices: ray → copy
-        Ray r lies between sector r and sector r + 1. Walls on rays with the same copy share one vertical
-        edge; two
-        copies are a saddle: columns that touch in a line.
+    copies : for each gap between consecutive vertices: ray → copy. Ray r lies between sector r and sector r +
+        1. Walls on rays with the same copy share one vertical edge; two copies are a saddle: columns that
+        touch in a line.
     """
 
     z: tuple[float, ...]
@@ -54,11 +49,9 @@ class Levels:
 def linked_levels(heights: Floats, merge: float) -> Levels:
     """Tie the heights at a node to vertices.
 
-    Parameters
-    ----------
     heights : (k, 2), mm
         Front and back height of the k sectors around the node, counter-clockwise; NaN: no column; ±inf: open.
-    merge : float, mm
+    merge : mm
         Single linkage: heights whose gaps are below it share a vertex, in the middle of their cluster.
     """
     known = sorted((float(z), s, f) for (s, f), z in np.ndenumerate(heights) if np.isfinite(z))
@@ -194,13 +187,9 @@ def segment_class(
 ) -> SegmentClass:
     """Tie the curves of a segment's shape to the vertices at its stations.
 
-    Parameters
-    ----------
-    shape : SegmentShape
     columns : (left, right)
-    start, end : Post
-        The nodes at the segment's ends.
-    merge : float, mm
+    start, end : The nodes at the segment's ends.
+    merge : mm
     """
     inner = [Post(linked_levels(heights, merge), (0, 1), (0, 1)) for heights in shape.heights[1:-1]]
     posts = (start, *inner, end)

@@ -1,10 +1,9 @@
 """Division of one face of a cell into lens and land, with the exact rim between them.
 
 The optical zone is a convex polygon; the rim is the conic in which a plane (the land, or the plane in which
-the
-two faces of a lens meet) cuts the lens. Polygon and conic are intersected exactly (a quadratic per side), so
-the
-zone falls into regions bounded by stretches of its sides and arcs of the conic. Lengths in mm, cell frame.
+the two faces of a lens meet) cuts the lens. Polygon and conic are intersected exactly (a quadratic per side),
+so the zone falls into regions bounded by stretches of its sides and arcs of the conic. Lengths in mm, cell
+frame.
 """
 
 from __future__ import annotations
@@ -42,8 +41,6 @@ class Run:
 class Chain:
     """A stretch of rim inside the zone, lens on its left hand.
 
-    Attributes
-    ----------
     points : (n, 2), mm
         Ends and intermediate vertices, less than a quarter turn apart; closed chains repeat no point.
     first, last : names of the end points, or None for a closed chain
@@ -88,21 +85,11 @@ def plain_pattern(zone: Floats, kind: Kind) -> Pattern:
 def divided_pattern(zone: Floats, conic: Floats, proud: Proud, rest: Kind) -> Pattern:
     """Divide a zone by a conic into lens and rest.
 
-    Parameters
-    ----------
-    zone : (m, 2), mm
-        Corners, counter-clockwise, convex.
-    conic : (3, 3)
-        Symmetric matrix of the rim, [x y 1] conic [x y 1]ᵀ = 0.
-    proud : callable
-        Whether the lens is there at (x, y), each (n,).
-    rest : "land" or "none"
-        Kind of the face where the lens is not.
-
-    Raises
-    ------
-    ValueError
-        The regions do not close: the lens ends inside the zone other than at the conic.
+    zone : (m, 2), mm. Corners, counter-clockwise, convex.
+    conic : (3, 3). Symmetric matrix of the rim, [x y 1] conic [x y 1]ᵀ = 0.
+    proud : Whether the lens is there at (x, y), each (n,).
+    rest : "land" or "none". Kind of the face where the lens is not.
+    Raises ValueError: The regions do not close: the lens ends inside the zone other than at the conic.
     """
     m = len(zone)
     ends: list[tuple[int, float]] = []

@@ -2,9 +2,8 @@
 
 The rim is the zero curve of a gap between two graphs over the sheet: a lens and its land, a lens and the
 plane behind it, the two lenses of a body. It is traced by bisection (`clacad.topology.build_complex`) and
-divided into
-arcs. Each arc is a polynomial Bézier curve through exact points of the rim, of the least degree within the
-tolerance. Its distance from the true rim is measured and stated. Lengths in mm, cell frame.
+divided into arcs. Each arc is a polynomial Bézier curve through exact points of the rim, of the least degree
+within the tolerance. Its distance from the true rim is measured and stated. Lengths in mm, cell frame.
 """
 
 from __future__ import annotations
@@ -29,8 +28,7 @@ Graph = Callable[[Floats, Floats], tuple[Floats, Floats]]
 """Heights (n,) and slopes (n, 2) over points x, y (n,); NaN where there is no surface."""
 
 FANS = (24, 48, 96, 192)
-"""Grids on which the rim is searched; a finer one is used where a rim's ends disagree with the zone's
-sides.
+"""Grids on which the rim is searched; a finer one is used where a rim's ends disagree with the zone's sides.
 """
 
 TURN = 1.1
@@ -117,26 +115,13 @@ def level_graph(level: float) -> Graph:
 def fitted_rim(gap: Gap, zone: Floats, rest: Kind, tolerance: float) -> Rim:
     """Divide a zone at the zero curve of a gap, and fit the rim.
 
-    Parameters
-    ----------
-    gap : Gap
-    zone : (m, 2), mm
-        Corners, counter-clockwise, convex.
-    rest : "land" or "none"
-        Kind of the face where the lens is not.
-    tolerance : float, mm
-        Distance of the fitted arcs from the true rim.
-
-    Returns
-    -------
-    Rim
-        The arcs lie at the mean height of the two graphs, which are equal on the rim.
-
-    Raises
-    ------
-    CannotBuild
-        CL130: the lens ends at its own equator, before it intersects the other surface. CL132: no curve comes
-        within `SLACK` of the rim: it turns too sharply, or the surfaces intersect at too small an angle.
+    zone : (m, 2), mm. Corners, counter-clockwise, convex.
+    rest : "land" or "none". Kind of the face where the lens is not.
+    tolerance : mm. Distance of the fitted arcs from the true rim.
+    Returns: The arcs lie at the mean height of the two graphs, which are equal on the rim.
+    Raises CannotBuild: CL130: the lens ends at its own equator, before it intersects the other surface.
+        CL132: no curve comes within `SLACK` of the rim: it turns too sharply, or the surfaces intersect at
+        too small an angle.
     """
     noise = gap.rounding(zone)
     roots = [_side_roots(gap, zone, k, noise) for k in range(len(zone))]
@@ -305,10 +290,7 @@ def _fitted(gap: Gap, path: Floats, tolerance: float, noise: float, depth: int) 
         second, high = _fitted(gap, halves[1], tolerance, noise, depth + 1)
         return [*first, *second], max(low, high)
     if best is None or best[1] > SLACK:
-        raise CannotBuild(
-            "CL132",
-            _SHARP,
-        )
+        raise CannotBuild("CL132", _SHARP)
     return [best[0]], best[1]
 
 

@@ -185,10 +185,7 @@ def posed_quadric(face: Face) -> PosedQuadric | None:
 def quadric_lens(quadric: PosedQuadric, boundary: Floats) -> QuadricLens:
     """Return a quadric lens whose patch covers the poles of its boundary arcs (k, 3) with a margin of 1 %.
 
-    Raises
-    ------
-    ValueError
-        The lens is so steep that the patch would have to pass its equator.
+    Raises ValueError: The lens is so steep that the patch would have to pass its equator.
     """
     parameters, _ = quadric.parameters(boundary)
     low, high = parameters.min(axis=0), parameters.max(axis=0)
@@ -210,20 +207,12 @@ def quadric_lens(quadric: PosedQuadric, boundary: Floats) -> QuadricLens:
 def fitted_lens(face: Face, zone: Floats, tolerance: float) -> FittedLens:
     """Fit a polynomial patch to any surface over the bounding rectangle of its zone.
 
-    Parameters
-    ----------
-    face : Face
-        Scaled to mm.
-    zone : (m, 2), mm
-        Corners of the optical zone.
-    tolerance : float, mm
-        The degree rises until the error on a 41 × 41 grid is below it, else the best within `LOOSEST` times
-        is used.
-
-    Raises
-    ------
-    ValueError
-        The surface ends inside the rectangle, or the highest degree does not reach the tolerance.
+    face : Scaled to mm.
+    zone : (m, 2), mm. Corners of the optical zone.
+    tolerance : mm. The degree rises until the error on a 41 × 41 grid is below it, else the best within
+        `LOOSEST` times is used.
+    Raises ValueError: The surface ends inside the rectangle, or the highest degree does not reach the
+        tolerance.
     """
     low, high, fine = zone.min(axis=0), zone.max(axis=0), np.linspace(0.0, 1.0, 41)
     true = _heights(face, low, high, fine)
@@ -278,10 +267,7 @@ def common_rim(faces: tuple[Face, Face], zone: Floats, tolerance: float) -> tupl
 
     Both results are None where the lens covers its zone.
 
-    Raises
-    ------
-    CannotBuild
-        CL131: see `_check_web`. CL130, CL132, CL133: no such rim can be made.
+    Raises CannotBuild: CL131: see `_check_web`. CL130, CL132, CL133: no such rim can be made.
     """
     lenses = [face for face in faces if face.array is not None]
     rim = _meeting(faces, zone, tolerance) if lenses else None
@@ -361,10 +347,7 @@ def _check_web(faces: tuple[Face, Face], rim: Rim, zone: Floats) -> None:
     the region inside the rim the front of a convex lens is a convex function of (x, y), with its maximum on
     the rim. So the front is nowhere above the plate's upper face, and the back nowhere below its lower one.
 
-    Raises
-    ------
-    CannotBuild
-        CL131, with the thickness of a web that contains the rim.
+    Raises CannotBuild: CL131, with the thickness of a web that contains the rim.
     """
     front, back = faces
     assert front.land is not None
@@ -425,12 +408,12 @@ def land_rim(face: Face, thick: Proud | None, zone: Floats, tolerance: float) ->
         return Rim(plain_pattern(zone, "lens"), ())
     if quadric is None:
         lens, level = lens_graph(face), level_graph(land)
-        gap = Gap(lens, level, thick) if face.side > 0 else Gap(level, lens, thick)
+        gap = Gap(lens, level, thick) if face.land_side > 0 else Gap(level, lens, thick)
         return fitted_rim(gap, zone, "land", tolerance)
 
     def proud(x: Floats, y: Floats) -> NDArray[np.bool_]:
         with np.errstate(invalid="ignore"):
-            out = np.asarray(face.side * (quadric.height(x, y) - land) < 0.0)
+            out = np.asarray(face.land_side * (quadric.height(x, y) - land) < 0.0)
         return out if thick is None else out & thick(x, y)
 
     x, y = zone_samples(zone)

@@ -31,11 +31,7 @@ def lettering(text: str, size: float) -> Any:
     """A line of bold text in the plane z = 0, about the origin: a build123d sketch, faces and holes from
     left to right.
 
-    Parameters
-    ----------
-    text : str
-    size : float
-        Height of the font (mm).
+    size : Height of the font (mm).
     """
     from build123d import Compound, FontStyle, Sketch, Text
 
@@ -84,13 +80,8 @@ VIEWER = "VIEWER SIDE"
 class MarkPlace:
     """Position of marks, sheet frame, mm.
 
-    Parameters
-    ----------
-    centre : (x, y, z)
-        Middle of the line of text, on the face.
-    width, height : float
-        Space for the line.
-    depth : float
+    centre : (x, y, z). Middle of the line of text, on the face.
+    width, height : Space for the line.
     """
 
     centre: tuple[float, float, float]
@@ -153,13 +144,8 @@ def mark_place(window: Window, body: Body) -> MarkPlace:
 class Pocket:
     """Area of a body in which letters may be engraved, from the window alone; design lengths.
 
-    Parameters
-    ----------
-    body : str
-    low, high : (x, y)
-        Corners of the space for the line.
-    land, floor : float
-        Heights of the face and of the letters' floors.
+    low, high : (x, y). Corners of the space for the line.
+    land, floor : Heights of the face and of the letters' floors.
     """
 
     body: str
@@ -198,10 +184,7 @@ def pockets(window: Window) -> tuple[Pocket, ...]:
 def marks(place: MarkPlace, name: str) -> Any:
     """The letters and the arrow as build123d solids that extend from the face into the material.
 
-    Raises
-    ------
-    NoFixture
-        The line is too long for letters of the least height.
+    Raises NoFixture: The line is too long for letters of the least height.
     """
     from build123d import Plane
 
@@ -217,10 +200,7 @@ def mark_text(name: str) -> str:
 def line_of_marks(plane: Any, text: str, width: float, height: float, depth: float) -> Any:
     """An arrow (pointing to the plane's +y) and a line of text, sunk `depth` below the plane.
 
-    Raises
-    ------
-    NoFixture
-        The line is too long for letters of the least height.
+    Raises NoFixture: The line is too long for letters of the least height.
     """
     from build123d import extrude
 
@@ -231,10 +211,7 @@ def line_sketch(text: str, width: float, height: float) -> Any:
     """An arrow pointing to +y and a line of text that reads along +x, about the origin: a build123d sketch,
     mm.
 
-    Raises
-    ------
-    NoFixture
-        The line is too long for letters of the least height.
+    Raises NoFixture: The line is too long for letters of the least height.
     """
     from build123d import Polygon, Pos, scale
 
@@ -274,10 +251,7 @@ def _drawn(text: str, width: float, height: float) -> tuple[Any, float]:
 def require_room(text: str, width: float, height: float) -> None:
     """Draw a line of text to see whether it fits (mm).
 
-    Raises
-    ------
-    NoFixture
-        The line is too long for letters of the least height.
+    Raises NoFixture: The line is too long for letters of the least height.
     """
     _drawn(text, width, height)
 
@@ -315,16 +289,9 @@ def engraved(part: Any, letters: Any, level: float) -> Any:
     The outline of every letter becomes a hole of the face. Its sides and bottom, reversed, close the pocket;
     the inside of an "o" remains as a separate face. No other face of the part changes.
 
-    Parameters
-    ----------
     part : build123d.Solid or Compound
-    letters : build123d object
-        Solids whose upper faces lie on the face, at `level` (mm).
-
-    Raises
-    ------
-    RuntimeError
-        As `marked_solids`.
+    letters : build123d object. Solids whose upper faces lie on the face, at `level` (mm).
+    Raises RuntimeError: As `marked_solids`.
     """
     import build123d as b
 

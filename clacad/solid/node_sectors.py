@@ -31,14 +31,9 @@ State = Literal["cell", "outside", "empty", "beyond"]
 class CornerRing:
     """The cells around one corner of a cell, counter-clockwise from the node's canonical first cell.
 
-    Attributes
-    ----------
-    cells : (((di, dj), corner), ...)
-        Relative to the canonical cell.
-    shift : (di, dj)
-        From the given cell to the canonical cell.
-    sector : int
-        Index of the given cell in `cells`.
+    cells : (((di, dj), corner), ...). Relative to the canonical cell.
+    shift : (di, dj). From the given cell to the canonical cell.
+    sector : Index of the given cell in `cells`.
     """
 
     cells: NodeCells
@@ -62,9 +57,6 @@ class Sectors:
 class Touch:
     """A node on the outline.
 
-    Attributes
-    ----------
-    node : NodeVertices
     position : (side, parameter) on the path
     out, back : rays along the outline, forwards and backwards
     leaving, arriving : sectors inside the outline next to those rays
@@ -126,19 +118,12 @@ def rings(lattice: Lattice) -> list[CornerRing]:
 class Nodes:
     """All nodes of one tiling, created on first use.
 
-    Parameters
-    ----------
     shells, cell, lattice
-    centre : callable
-        Centre (2,) of the cell with an index, mm.
-    state : callable
-        State of the cell with an index.
-    outside : Column or None
-        The land around the cells.
-    path : Path or None
-        The outline.
-    own : callable or None
-        The cell with an index, in a non-uniform sheet.
+    centre : Centre (2,) of the cell with an index, mm.
+    state : State of the cell with an index.
+    outside : The land around the cells.
+    path : The outline.
+    own : The cell with an index, in a non-uniform sheet.
     """
 
     def __init__(

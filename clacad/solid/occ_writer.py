@@ -23,9 +23,18 @@ from OCP.Geom import Geom_BSplineCurve, Geom_BSplineSurface, Geom_Line, Geom_Pla
 from OCP.Geom2d import Geom2d_BSplineCurve
 from OCP.gp import gp_Ax3, gp_Dir, gp_Pnt, gp_Pnt2d, gp_Vec
 from OCP.GProp import GProp_GProps
-from OCP.TopAbs import TopAbs_FORWARD, TopAbs_REVERSED
+from OCP.TopAbs import TopAbs_FACE, TopAbs_FORWARD, TopAbs_REVERSED
+from OCP.TopExp import TopExp_Explorer
 from OCP.TopLoc import TopLoc_Location
-from OCP.TopoDS import TopoDS_Edge, TopoDS_Face, TopoDS_Shell, TopoDS_Solid, TopoDS_Vertex, TopoDS_Wire
+from OCP.TopoDS import (
+    TopoDS,
+    TopoDS_Edge,
+    TopoDS_Face,
+    TopoDS_Shell,
+    TopoDS_Solid,
+    TopoDS_Vertex,
+    TopoDS_Wire,
+)
 
 from clacad.base.types import Floats
 from clacad.solid.edge_classes import Plane, Surface
@@ -205,31 +214,61 @@ def _plane(plane: Plane) -> Any:
     return Geom_Plane(gp_Ax3(origin, gp_Dir(*map(float, plane.normal)), gp_Dir(*map(float, plane.across))))
 
 
+def explored(shape: Any, kind: Any) -> list[Any]:
+    """Every subshape of a kind, as often as it is used."""
+    explorer, found = TopExp_Explorer(shape, kind), []
+    while explorer.More():
+        found.append(TopoDS.Face(explorer.Current()) if kind == TopAbs_FACE else explorer.Current())
+        explorer.Next()
+    return found
+
+
 def is_valid(shape: Any) -> bool:
     """Whether a shape is consistent for OCCT (which cannot detect a wrong radius or a bow-tie wall)."""
     return bool(BRepCheck_Analyzer(shape).IsValid())
 
 
 QUADRATURE = 1e-12
-"""Relative error per face requested of OCCT's adaptive quadrature; its fixed one errs by 2e-8 at curved
-rims.
+"""Relative error per face requested of OCCT's adaptive quadrature; its fixed one errs by 2e-8 at curved rims.
 """
 
 
+SUFFICIENT = 1e-9
+"""Relative error requested of the Gauss-Kronrod quadrature of a whole sheet; measured: below 1e-13."""
+
+SETTLED, FACES_TRIED = 1e-10, 24
+"""Largest change of the part of a face by a finer quadrature, over the mean part of a face, for which the
+coarser one is taken; number of faces, evenly spaced in the shape, for which that is tried."""
+
+
 def volume(shape: Any) -> float:
-    """Volume by OCCT's adaptive quadrature, mm³."""
+    """Volume by OCCT's adaptive quadrature, mm³; by its Gauss-Kronrod one where that has not settled.
+
+    Over steep conics the adaptive one errs by 5e-9, without reporting that; Gauss-Kronrod takes 20 times
+    as long.
+    """
+    faces = explored(shape, TopAbs_FACE)
+    whole = _adaptive(shape, QUADRATURE)
+    for face in faces[:: 1 + (len(faces) - 1) // FACES_TRIED]:
+        one, other = (_adaptive(face, relative) for relative in (QUADRATURE, 0.01 * QUADRATURE))
+        if abs(other - one) > SETTLED * abs(whole) / len(faces):
+            return careful_volume(shape, SUFFICIENT)
+    return whole
+
+
+def _adaptive(shape: Any, relative: float) -> float:
     properties = GProp_GProps()
-    BRepGProp.VolumeProperties_s(shape, properties, QUADRATURE)
+    BRepGProp.VolumeProperties_s(shape, properties, relative)
     return float(properties.Mass())
 
 
-def engraved_volume(shape: Any) -> float:
-    """Volume of a solid with engraved faces by OCCT's Gauss-Kronrod quadrature, mm³.
+def careful_volume(shape: Any, relative: float = QUADRATURE) -> float:
+    """Volume by OCCT's Gauss-Kronrod quadrature, mm³: of steep conics, and of solids with engraved faces.
 
     Its faster adaptive one errs by 1e-5, without reporting that, where many splines bound a plane.
     """
     properties = GProp_GProps()
-    BRepGProp.VolumePropertiesGK_s(shape, properties, QUADRATURE)
+    BRepGProp.VolumePropertiesGK_s(shape, properties, relative)
     return float(properties.Mass())
 
 

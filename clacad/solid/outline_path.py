@@ -36,14 +36,9 @@ Round = tuple[Floats, float, float]
 class Path:
     """An outline in the plane z = 0, counter-clockwise; a round one in four quarters.
 
-    Attributes
-    ----------
-    arcs : tuple of Arc
     centre : (2,), mm
-    radius : float or None
-        Of a round outline.
-    touched : bool
-        Whether cells may touch it.
+    radius : Of a round outline.
+    touched : Whether cells may touch it.
     rounds : tuple of (centre (2,), radius, sense) or None
         Circle of each arc, mm, and its sense: 1 counter-clockwise, −1 clockwise. None for a straight one.
     """
@@ -63,8 +58,8 @@ class Path:
                 u = float((point - a) @ (b - a) / ((b - a) @ (b - a)))
                 away = float(np.hypot(*(point - a - u * (b - a))))
             else:
-                u = self._on_quarter(side, point)
                 away = abs(float(np.hypot(*(point - self.centre))) - self.radius)
+                u = self._on_quarter(side, point) if away < SNAP else 2.0
             if away < SNAP and -width <= u < 1.0 - width:
                 return side, (0.0 if u < width else u)
         return None
@@ -186,18 +181,13 @@ def cut_pattern(
 ) -> tuple[Pattern, list[Floats]] | None:
     """Divide a zone by traced curves into lens and rest.
 
-    Parameters
-    ----------
-    zone : (m, 2), mm
-        Corners, counter-clockwise, convex.
+    zone : (m, 2), mm. Corners, counter-clockwise, convex.
     roots : per side, ascending parameters at which the lens begins or ends
-    proud : callable
-        Whether the lens is there at (x, y), each (n,).
+    proud : Whether the lens is there at (x, y), each (n,).
     rest : "land" or "none", where the lens is not
     across, closed : lists of (n, 2), mm
         Points of curves from side to side and of closed ones, the lens on their left.
-    grid : int
-        Divisions of a side of the grid on which the curves were searched. A curve that dips in and out
+    grid : Divisions of a side of the grid on which the curves were searched. A curve that dips in and out
         between two of them is joined by the roots alone.
 
     Returns the pattern and the points of its chains; None where curves and roots disagree.

@@ -33,24 +33,15 @@ FIT = 1e-10
 class CellFace:
     """One face of a cell.
 
-    Attributes
-    ----------
     side : +1 front, −1 back
-    level : float or None
-        Height of the land, or of the plane for a plane face (mm).
-    pattern : Pattern or None
-        None for a plane face and for an open one.
-    lens : Lens or None
-    rims : tuple of tuple of Arc
-        The 3-D arcs of every chain of the pattern.
-    plane, open : bool
-        Whether the face is one plane over all cells; whether the body has no face of this tiling.
+    level : Height of the land, or of the plane for a plane face (mm).
+    pattern : None for a plane face and for an open one.
+    rims : The 3-D arcs of every chain of the pattern.
+    plane, open : Whether the face is one plane over all cells; whether the body has no face of this tiling.
     optical : bool
         Whether the level is that of an optical plane that ends with its lens, in pieces, instead of land.
-    rim_error : float, mm
-        Distance of fitted rims from the true ones; 0 where they are exact.
-    misfit : float, mm
-        Distance of the rims' edges from the patch that they bound.
+    rim_error : mm. Distance of fitted rims from the true ones; 0 where they are exact.
+    misfit : mm. Distance of the rims' edges from the patch that they bound.
     """
 
     side: int
@@ -136,21 +127,11 @@ def make_cell(
 ) -> Cell:
     """Build the prototile of a tiling.
 
-    Parameters
-    ----------
-    window : Window
-    front, back : Face or None
-        None: a plane at the given level (mm), or open where there is no level either.
-    scale : float
-        mm per design unit.
-    array : int
-        Array of the cells, where arrays have different pitches.
-
-    Raises
-    ------
-    ValueError
-        A lens surface does not cover its zone and no land or opposite face bounds it; a graph has passed
-        the equator (undercut).
+    front, back : None: a plane at the given level (mm), or open where there is no level either.
+    scale : mm per design unit.
+    array : Array of the cells, where arrays have different pitches.
+    Raises ValueError: A lens surface does not cover its zone and no land or opposite face bounds it; a graph
+        has passed the equator (undercut).
     """
     if front is not None and back is not None:
         refuse_buried_land(front, back)

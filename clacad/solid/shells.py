@@ -121,13 +121,8 @@ class Segment:
 class Shells:
     """Describe bodies to a writer; collect connected faces.
 
-    Parameters
-    ----------
-    writer : Writer
-    merge : float, mm
-        Merge height.
-    split : bool
-        Whether pieces are separated by shared edges too, not only by columns that share material.
+    merge : mm. Merge height.
+    split : Whether pieces are separated by shared edges too, not only by columns that share material.
     """
 
     def __init__(self, writer: Writer, merge: float = MERGE, split: bool = False) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
+from clacad.optics.surface import Quadric
 from clacad.sheet.grid_steps import one_tiling
 from clacad.sheet.lattice import Circle, Lattice, Outline, Rectangle
 from clacad.sheet.need_window import need_window
@@ -23,6 +24,7 @@ from clacad.sheet.window import Body, Face, Window
 from clacad.solid.face_pattern import SNAP, Kind
 from clacad.solid.outline_faces import flat_faces, outline_faces
 from clacad.solid.outline_path import outline_path, plate_paths
+from clacad.solid.rational_conics import LensArray
 from clacad.solid.repeated_cell import Cell, CellFace, make_cell
 from clacad.solid.shells import MERGE, Shells, Writer
 from clacad.solid.tilings import Columns, Layer, Surround
@@ -31,27 +33,18 @@ from clacad.topology.build_complex import cell_complex
 from clacad.topology.complex_parts import CannotBuild
 
 KEPT_CELLS = 4096
-"""Number of cells of a non-uniform sheet kept at a time: a row borders on the one above it, so three rows
-do.
+"""Number of cells of a non-uniform sheet kept at a time: a row borders on the one above it, so three rows do.
 """
 
 
 def layers(window: Window, body: Body, middle: float | None = None) -> tuple[Layer, ...]:
     """Cut a body into layers of columns: one, or two where its faces lie on displaced grids.
 
-    Parameters
-    ----------
-    window : Window
-    body : Body
-    middle : float or None, mm
-        Height of the plane at which the two layers of a displaced slab end; None leaves them open to one
-        another.
-
-    Raises
-    ------
-    ValueError
-        The body cannot be built; see `make_cell`.
+    middle : float or None, mm. Height of the plane at which the two layers of a displaced slab end; None
+        leaves them open to one another.
+    Raises ValueError: The body cannot be built; see `make_cell`.
     """
+    body = body if window.uniform else body.simplified
     arrays = one_tiling(window, body)
     if len(arrays) == 1:
         return (_layer(window, arrays[0], (body.front, body.back), (None, None)),)
@@ -82,9 +75,29 @@ def _layer(
     cell = cell_at((first[0], first[1]))
     own = None if alike else lru_cache(maxsize=KEPT_CELLS)(cell_at)
     pattern = window.lattice_of(array) if window.placements[array].own else None
-    return Layer(
-        cell, np.array(window.shifts[array]) * scale, _outside(window, cell), own=own, pattern=pattern
-    )
+    shift, outside = np.array(window.shifts[array]) * scale, _outside(window, cell)
+    lenses = () if window.uniform or cell.island else _lens_arrays(window, faces, scale)
+    return Layer(cell, shift, outside, own=own, pattern=pattern, lenses=lenses)
+
+
+def _lens_arrays(
+    window: Window, faces: tuple[Face | None, Face | None], scale: float
+) -> tuple[LensArray, ...]:
+    """Lens faces of all cells of a non-uniform sheet in arrays; none where one is no quadric."""
+    cells, found = window.lattice.cells(), []
+    for number, face in enumerate(faces):
+        if face is None or face.array is None:
+            continue
+        if not isinstance(face.surface, Quadric):
+            return ()
+        places, surface = window.lenses(face, cells), face.surface
+        curvatures = np.array([[surface.curvature_x, surface.curvature_y, surface.kappa]]) / scale
+        size = 1.0 if places.size is None else places.size[:, None]
+        apex = np.stack(np.broadcast_arrays(*np.atleast_1d(*places.apex)), axis=1) * scale
+        curvatures = np.broadcast_to(curvatures / size, apex.shape)
+        land = None if face.land is None else face.land * scale
+        found.append(LensArray(number, face.side, land, face.rotation, curvatures, apex))
+    return tuple(found)
 
 
 def _outside(window: Window, cell: Cell) -> Column | None:
@@ -110,23 +123,9 @@ def _outside(window: Window, cell: Cell) -> Column | None:
 def describe_body(window: Window, body: Body, writer: Writer, merge: float = MERGE) -> Shells:
     """Describe one body as closed shells.
 
-    Parameters
-    ----------
-    window : Window
-    body : Body
-    writer : Writer
-    merge : float, mm
-        Heights that differ by less at a node, or along a whole border, are merged.
-
-    Returns
-    -------
-    Shells
-        Face numbers of every piece, counts.
-
-    Raises
-    ------
-    ValueError
-        The body cannot be built as a solid.
+    merge : mm. Heights that differ by less at a node, or along a whole border, are merged.
+    Returns: Face numbers of every piece, counts.
+    Raises ValueError: The body cannot be built as a solid.
     """
     parts = layers(window, body)
     if len(parts) == 2 and window.outline is None:
@@ -209,10 +208,7 @@ def _refuse_beyond(
 ) -> None:
     """Refuse a cell that lies partly beyond the outline: the outline would cut through a lenslet.
 
-    Raises
-    ------
-    CannotBuild
-        CL136.
+    Raises CannotBuild: CL136.
     """
     cells = part.places(lattice).centres(lattice.cells()) * scale + part.shift - centre
     x, y = np.moveaxis(cells[:, None] + part.cell.tile, -1, 0)
@@ -247,7 +243,7 @@ COLOURS = {"array1": (0.62, 0.78, 0.90), "array2": (0.90, 0.80, 0.62)}
 
 
 def solids(window: Window, cells: tuple[int, int] | None = None, merge: float = MERGE) -> list[Any]:
-    """Return the bodies of a window as build123d objects, one per body.
+    """Return the bodies of a window as exact CAD solids of build123d, one per body.
 
     Parameters
     ----------
@@ -269,6 +265,17 @@ def solids(window: Window, cells: tuple[int, int] | None = None, merge: float = 
         A design in place of the window.
     ValueError
         A body cannot be built as a solid.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> window = clacad.prescribe(design)
+    >>> [body] = clacad.solids(window)
+    >>> body.is_valid
+    True
+    >>> round(body.volume, 3)
+    33.569
     """
     from clacad.solid.occ_writer import OccWriter, without_garbage_collection
 

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.sheet.pattern import Step
+from clacad.solid.cell_arrays import CellWriter, SharedParts, cell_arrays
 from clacad.solid.edge_classes import Levels, Plane, Post, SegmentClass, linked_levels, segment_class
 from clacad.solid.node_sectors import Corner, Nodes, State, Touch
 from clacad.solid.shells import Loop, LoopEdge, Segment, Shells, reverse
@@ -23,7 +25,7 @@ if TYPE_CHECKING:
     from clacad.sheet.lattice import Lattice
     from clacad.solid.face_pattern import Region
     from clacad.solid.outline_path import Path
-    from clacad.solid.rational_conics import Arc
+    from clacad.solid.rational_conics import Arc, LensArray
     from clacad.solid.repeated_cell import Cell, CellFace
 
 
@@ -31,19 +33,13 @@ if TYPE_CHECKING:
 class Layer:
     """Cells of one tiling between two faces: a whole body, or half of a displaced slab.
 
-    Attributes
-    ----------
-    cell : Cell
-    shift : (2,), mm
-        Displacement of the tiling's cells against the lattice.
-    outside : Column or None
-        The land between the cells and the outline.
+    shift : (2,), mm. Displacement of the tiling's cells against the lattice.
+    outside : The land between the cells and the outline.
     breaks : tuple of (n,) parameters, or None
         Per class of borders between two cells: parameters at which anything changes, from the cell complex.
-    own : callable or None
-        The cell with an index, in a non-uniform sheet; `cell` is then one of them, of the same tile.
-    pattern : Lattice or None
-        Of the layer's array, if it has its own pitch.
+    own : The cell with an index, in a non-uniform sheet; `cell` is then one of them, of the same tile.
+    pattern : Of the layer's array, if it has its own pitch.
+    lenses : Lens faces of all cells, if they may be described in batches (`clacad.solid.cell_arrays`).
     """
 
     cell: Cell
@@ -52,6 +48,7 @@ class Layer:
     breaks: tuple[Floats, ...] | None = None
     own: Callable[[Step], Cell] | None = None
     pattern: Lattice | None = None
+    lenses: tuple[LensArray, ...] = ()
 
     def at(self, index: Step) -> Cell:
         """The cell with an index."""
@@ -65,12 +62,9 @@ class Layer:
 class Surround(NamedTuple):
     """Surroundings of the cells of a body.
 
-    path : Path or None
-        The outline.
-    owner : int
-        Owner of the walls of the land out to the outline; −1 without an outline.
-    hollow : bool
-        Describe only the land, without the cells themselves.
+    path : The outline.
+    owner : Owner of the walls of the land out to the outline; −1 without an outline.
+    hollow : Describe only the land, without the cells themselves.
     """
 
     path: Path | None
@@ -107,16 +101,7 @@ class Sided(NamedTuple):
 class Borders:
     """All borders of one tiling, described on first use.
 
-    Parameters
-    ----------
-    shells : Shells
-    layer : Layer
-    lattice : Lattice
-        In design units; `scale` mm per unit.
-    around : Surround
-
-    Attributes
-    ----------
+    lattice : In design units; `scale` mm per unit.
     nodes : Nodes
     touching : dict
         Borders on the outline: identity of the node at which they start → edges of front and back face.
@@ -163,6 +148,28 @@ class Borders:
         if key not in self._segments:
             self._segments[key] = self._make(left, k % half)
         return Sided(self._segments[key], column, column == 0)
+
+    def describe_plain(self, lattice: Lattice, writer: CellWriter) -> NDArray[np.bool_]:
+        """Describe the plain cells of a lattice in arrays; which of its cells (n,) they are."""
+        shells, layer = self._shells, self._layer
+        found = cell_arrays(lattice, self._lattice, self._scale, layer.shift, layer.lenses, shells.merge)
+        steps: list[Step] = [(i, j) for i, j in found.cells.tolist()]
+        shared = SharedParts(
+            lambda cell, corner: self.nodes.at(steps[cell], corner).node,
+            shells.vertex,
+            shells.vertical,
+            lambda cell, k, face: self.at(steps[cell], k).all_runs(face),
+        )
+        owners = [self.owner(step) if there else -1 for step, there in zip(steps, found.plain.tolist())]
+        for k in range(len(found.tile) // 2):
+            left = np.flatnonzero(found.borders[:, k])
+            for one, other in zip(left.tolist(), found.neighbours[left, k].tolist()):
+                shells.join(owners[one], owners[other])
+        cells, faces = writer.cells(found, shared)
+        for cell, face in zip(cells.tolist(), faces.tolist()):
+            shells.faces[owners[cell]].append(face)
+        found.count(shells.counts)
+        return found.plain
 
     def _state(self, index: Step) -> State:
         if index in self._kept:
@@ -242,10 +249,7 @@ RimEdges = tuple[list[int], list[int]]  # edges of a chain, vertices of a chain
 class Columns:
     """One tiling of a body, described to `Shells`.
 
-    Parameters
-    ----------
-    shells, layer, lattice, scale, around
-        As for `Borders`.
+    shells, layer, lattice, scale, around : As for `Borders`.
     """
 
     def __init__(
@@ -284,6 +288,10 @@ class Columns:
         """Describe all cells, borders and nodes."""
         cells = self.lattice.cells()
         centres = self._layer.places(self.lattice).centres(cells) * self._scale + self._layer.shift
+        writer = self.shells.writer
+        if self._layer.lenses and not self._hollow and isinstance(writer, CellWriter):
+            rest = ~self._borders.describe_plain(self.lattice, writer)
+            cells, centres = cells[rest], centres[rest]
         for (i, j), centre in zip(cells.tolist(), centres):
             if not self._hollow:
                 if self._layer.own is not None:

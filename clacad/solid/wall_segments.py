@@ -54,14 +54,10 @@ _T = 0.5 - 0.5 * np.cos(np.pi * np.arange(35) / 34)
 class Column:
     """One side of a segment.
 
-    Attributes
-    ----------
     faces : (front, back)
     runs : (front's, back's) stretches ((t0, t1, kind), ...) along the segment
-    offset : (2,), mm
-        Centre of the column's cell in the frame of the segment.
-    outside : bool
-        Whether the column is the land around the cells, not a cell.
+    offset : (2,), mm. Centre of the column's cell in the frame of the segment.
+    outside : Whether the column is the land around the cells, not a cell.
     """
 
     faces: tuple[CellFace, CellFace]
@@ -116,16 +112,13 @@ class PieceShape:
 class SegmentShape:
     """A class of congruent segments, before its ends are tied to vertices.
 
-    Attributes
-    ----------
     stations : (n,) parameters, 0 and 1 included
     points : (n, 2), mm
     heights : tuple of (2, 2) arrays
         Heights [column, face] at every station (mm); NaN where there is no face.
     pieces : n − 1
     runs : runs[column][face] = numbers of the pieces in each stretch, in the direction of the segment
-    crossings : int
-        Number of stations that are crossings of two faces.
+    crossings : Number of stations that are crossings of two faces.
     """
 
     stations: Floats
@@ -173,20 +166,13 @@ def segment_shape(
 ) -> SegmentShape:
     """Analyse one class of segments.
 
-    Parameters
-    ----------
     a, b : (2,), mm
-    columns : (left, right)
-        None where there is no column.
-    merge : float, mm
-        Merge height h.
+    columns : (left, right). None where there is no column.
+    merge : mm. Merge height h.
     breaks : (n,) parameters or None
         Crossings of faces, from the cell complex; None: find them (borders of land, sides of islands).
-
-    Raises
-    ------
-    ValueError
-        A wall would cross itself: a crossing was missed. This has never occurred; the check proves it.
+    Raises ValueError: A wall would cross itself: a crossing was missed. This has never occurred; the check
+        proves it.
     """
     length = float(np.hypot(*(b - a)))
     stops = [0.0, 1.0]

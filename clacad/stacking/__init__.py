@@ -8,7 +8,6 @@ sheets touch does light obey their laws in sequence (`Law.then`); otherwise the 
 from __future__ import annotations
 
 from clacad.stacking.make_stack import Stacked, StackRequest, stack
-from clacad.stacking.stack_image import StackImage
-from clacad.stacking.stack_light import StackLight, StackMeridian
+from clacad.stacking.stack_light import StackImage, StackLight, StackMeridian
 
 __all__ = ["StackMeridian", "StackImage", "StackLight", "StackRequest", "Stacked", "stack"]

@@ -21,7 +21,7 @@ from clacad.exporting.tessellations import Meshes, instanceable
 from clacad.formats.mesh.compare_triangles import compare_mesh
 from clacad.formats.mesh.file_mesh import FileMesh, put
 from clacad.formats.step.lens_placements import SheetPlace
-from clacad.formats.step.step_mode import Mode
+from clacad.formats.step.part21 import Mode
 from clacad.sheet.stack import Stack, StackedSheet
 from clacad.sheet.volume_and_extent import body_volume, volume_sum
 from clacad.sheet.window import Window
@@ -40,13 +40,8 @@ NAME = "stack"
 class StackAssembly:
     """Contents and options of a stack's files.
 
-    stack : Stack
-    stage : Stage
-    worker : Worker
-    quads : int
-        Facets along a cell side, of GLB.
+    quads : Facets along a cell side, of GLB.
     step : "auto", "fused" or "instanced"
-    progress : callable
     """
 
     stack: Stack
@@ -57,12 +52,7 @@ class StackAssembly:
     progress: Progress
 
     def records(self, formats: tuple[str, ...]) -> list[FileRecord]:
-        """Write the formats, read them back and compare.
-
-        Raises
-        ------
-        FileDisagrees, WorkerDied
-        """
+        """Write the formats, read them back and compare. Raises FileDisagrees, WorkerDied."""
         makers = {STEP: self._step, GLB: self._glb}
         return [makers[name]() for name in formats]
 
@@ -122,7 +112,9 @@ class StackAssembly:
             "quads": self.quads,
             "float": "f32",
             "triangles": facets,
-            "triangles_stored": sum(len(piece.triangles) for each in pieces.values() for piece in each),
+            "triangles_stored": sum(
+                (cut.cell if instanceable(cut.window) else cut.mesh).facet_count for cut in made.values()
+            ),
         }
         return self._record(
             path, GLB, "m", facts, ("closed", "shape", "volume"), Prospect(Role.PREVIEW, True)

@@ -25,12 +25,8 @@ from clacad.sheet.vignetting import partner_share
 class ChiefRays:
     """Affine map of position and slope in one meridian: (x, t) ↦ matrix (x, t) + shift.
 
-    Parameters
-    ----------
-    matrix : (2, 2)
-        ((A, B), (C, D)): A and D are numbers, B a length, C one over a length.
-    shift : (2,)
-        A length and a slope.
+    matrix : (2, 2). ((A, B), (C, D)): A and D are numbers, B a length, C one over a length.
+    shift : (2,). A length and a slope.
     """
 
     matrix: Floats
@@ -49,9 +45,7 @@ class ChiefRays:
     def image(self, distance: float) -> tuple[float, float, float]:
         """Image of an axial point that lies `distance` before array 1.
 
-        Parameters
-        ----------
-        distance : float, length
+        distance : length
 
         Returns
         -------
@@ -73,26 +67,23 @@ class ChiefRays:
 def sheet(eta: float, separation: float, delta: float = 0.0, kappa: float = 0.0) -> ChiefRays:
     """A sheet from array 1 to array 2.
 
-    Parameters
-    ----------
-    eta : float
-        Not 0. |η| ≤ 1; for |η| > 1 the light is not centred on chief rays: use `of_beams`.
-    separation : float, length
-    delta : float
-        Offset in the middle of the sheet.
-    kappa : float, one over a length
-        Growth of the offset across the sheet, dδ/dx.
+    eta : Not 0. |η| ≤ 1; for |η| > 1 the light is not centred on chief rays: use `of_beams`.
+    separation : length
+    delta : Offset in the middle of the sheet.
+    kappa : float, one over a length. Growth of the offset across the sheet, dδ/dx.
     """
     return ChiefRays(np.array([[1.0, separation], [-kappa / eta, 1.0 / eta]]), np.array([0.0, -delta / eta]))
 
 
-def with_field_lens(eta: float, aside: float, delta: float = 0.0) -> ChiefRays:
+def with_field_lens(
+    eta: float, aside: float, delta: float = 0.0, kappa: float = 0.0, scale: float = 1.0
+) -> ChiefRays:
     """A sheet whose field lens images lens 1 onto lens 2: all chief rays leave in the middle of cell 2.
 
-    aside : float, length
-        Distance from the middle of cell 1 to that of its partner.
+    aside : length. Distance from the middle of cell 1 to that of its partner, in the middle of the sheet.
+    scale : g, the pitch of array 2 over that of array 1.
     """
-    return ChiefRays(np.array([[1.0, 0.0], [0.0, 1.0 / eta]]), np.array([aside, -delta / eta]))
+    return ChiefRays(np.array([[scale, 0.0], [-kappa / eta, 1.0 / eta]]), np.array([aside, -delta / eta]))
 
 
 def of_beams(
@@ -104,8 +95,7 @@ def of_beams(
     the transmitted part is centred on lens 2's cell, at g X, with X the middle of lens 1. It entered at (g X
     − X − s t)/η from X, and its slope is (t − δ − κ X)/η.
 
-    scale : float
-        g, the pitch of array 2 over that of array 1.
+    scale : g, the pitch of array 2 over that of array 1.
     """
     if abs(eta) <= 1.0:
         return sheet(eta, separation, delta, kappa)
@@ -187,13 +177,11 @@ def _of_sheet(one: StackedSheet, axis: int, beams: bool) -> ChiefRays:
     pair = one.window.thin
     offset, jacobian = slope_map(one.window.law)
     eta, kappa = 1.0 / float(jacobian[axis, axis]), float(_growth(one)[axis, axis])
-    delta = -eta * float(offset[axis])
+    delta, scale = -eta * float(offset[axis]), pair.second.scale(one.window.lattice)[axis]
     if pair.field:  # the beam fills lens 2, or is centred on it: both cases are identical
-        return with_field_lens(eta, one.scale * pair.shift[axis], delta)
+        return with_field_lens(eta, one.scale * pair.shift[axis], delta, kappa, scale)
     s = one.scale * pair.separation
-    if not beams:
-        return sheet(eta, s, delta, kappa)
-    return of_beams(eta, s, delta, kappa, pair.second.scale(one.window.lattice)[axis])
+    return of_beams(eta, s, delta, kappa, scale) if beams else sheet(eta, s, delta, kappa)
 
 
 def _spaces(stack: Stack, axis: int) -> list[float]:

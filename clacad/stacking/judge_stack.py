@@ -23,10 +23,9 @@ from clacad.judging.step_light import FACE_RAYS, OCC_RAYS, SECONDS
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays
 from clacad.stacking.assembly import mesh_of_sheet, places
-from clacad.stacking.stack_light import launched
 from clacad.storage.atomic import file_hash, read_manifest
 from clacad.storage.errors import BadRequest, ExportError
-from clacad.tracing.through_stack import StackTrace, StackTracer
+from clacad.tracing.through_stack import StackTrace, StackTracer, launched
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -47,20 +46,10 @@ def judge_stack(
 ) -> list[Check]:
     """Verify the written files of a stack.
 
-    Parameters
-    ----------
-    stack : Stack
     designs : sequence of Design, of its sheets
-    files : Path
-        The folder, or one of its files.
-    field : float, radians
-        Of the light through all sheets.
-    progress : callable
-
-    Raises
-    ------
-    BadRequest
-        There is no file of a stack.
+    files : The folder, or one of its files.
+    field : radians. Of the light through all sheets.
+    Raises BadRequest: There is no file of a stack.
     """
     folder = files if files.is_dir() else files.parent
     manifest = read_manifest(folder) or {}

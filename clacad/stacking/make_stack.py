@@ -9,8 +9,9 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
+from clacad.base.interactive import Tabular, columns_of, shown_progress
 from clacad.base.machine_rates import Rates, Span, total
-from clacad.base.types import Pair2, Progress, Rung, silent
+from clacad.base.types import Pair2, Progress, Rung
 from clacad.base.units import millimetres
 from clacad.exporting.forecast import forecast
 from clacad.exporting.formats.format import Forecast
@@ -20,12 +21,10 @@ from clacad.exporting.limits import refuse_over_limits, refuse_uncountable
 from clacad.exporting.manifest import FORMAT, FileRecord, Manifest
 from clacad.exporting.request import Request
 from clacad.exporting.tessellations import Meshes
-from clacad.formats.step.step_mode import Mode
-from clacad.sheet.need_window import need_equal_cells
+from clacad.formats.step.part21 import Mode
 from clacad.sheet.stack import BadStack, Stack, stacked
 from clacad.stacking.assembly import NAME, StackAssembly, sheet_facts
-from clacad.stacking.stack_image import StackImage, measure_image
-from clacad.stacking.stack_light import StackLight, measure_light
+from clacad.stacking.stack_light import StackImage, StackLight, measure_image, measure_light
 from clacad.storage.atomic import MANIFEST, Stage, canonical_json, file_hash, require_folder
 from clacad.storage.errors import UnknownFormat
 from clacad.storage.staging import flush
@@ -98,18 +97,10 @@ TASK = "stack light"
 
 
 def rows_by_sheet(standing: Stack, asked: StackRequest) -> dict[str, list[Forecast]]:
-    """Cost that each sheet adds to the files, by its id; a repeated sheet adds none.
-
-    Raises
-    ------
-    CellsDiffer
-        GLB is requested for a non-uniform sheet.
-    """
+    """Cost that each sheet adds to the files, by its id; a repeated sheet adds none."""
     wanted, seen = Request(formats=asked.formats, step=asked.step), set()
     found: dict[str, list[Forecast]] = {}
     for one in standing.sheets:
-        if GLB in asked.formats:
-            need_equal_cells(one.window, f"sheet {one.id} in GLB", "the stack's STEP holds it: --format step")
         found[one.id] = []
         if id(one.window) not in seen:
             seen.add(id(one.window))
@@ -158,12 +149,7 @@ def in_all(standing: Stack, asked: StackRequest) -> Span:
 
 
 def refuse(standing: Stack, asked: StackRequest, folder: Path) -> None:
-    """Refuse files beyond the limits of size.
-
-    Raises
-    ------
-    LimitRefused
-    """
+    """Refuse files beyond the limits of size. Raises LimitRefused."""
     if not asked.force:
         refuse_over_limits(standing.sheets[0].window, rows(standing, asked), folder)
 
@@ -173,7 +159,7 @@ RUNGS: tuple[Rung, ...] = ("law", "thin", "surfaces")
 
 
 @dataclass(frozen=True, eq=False)
-class Stacked:
+class Stacked(Tabular):
     """A stack, the light through it, and its written files.
 
     Attributes
@@ -200,6 +186,11 @@ class Stacked:
 
     def __repr__(self) -> str:
         return f"Stacked({self.stack!r}, share {self.share:.3g})"
+
+    def to_columns(self) -> dict[str, Any]:
+        """One row for each rung: light through all sheets, shares and angles in radians."""
+        names = ("rung", "rays", "field", "cells", "share", "expected_share", "error", "strays")
+        return columns_of([{name: getattr(one, name) for name in names} for one in self.light])
 
     @property
     def exact(self) -> StackLight:
@@ -253,7 +244,8 @@ def stack(
     progress: Progress | None = None,
     **options: Unpack[StackOptions],
 ) -> Stacked:
-    """Stack sheets, measure the light through all of them, and write the assembly.
+    """Put sheets one behind the other: measure the light through all of them; write the assembly where a
+    folder is given.
 
     Parameters
     ----------
@@ -275,6 +267,14 @@ def stack(
         No designs or too many, a gap that is negative or no number, or gaps of another number.
     DesignError, LimitRefused, UnknownFormat, ExportRefused, CannotWrite, FileDisagrees, WorkerDied
         Nothing was published; the message gives the reason.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> pair = clacad.stack([design, design], gaps=1.0, rays=256)
+    >>> round(pair.share, 2)
+    0.46
     """
     many = (gaps,) if isinstance(gaps, int | float) else gaps
     asked = StackRequest(tuple(float(gap) for gap in many), tuple(formats), **options)
@@ -288,7 +288,7 @@ def run_stack(
     progress: Progress | None,
 ) -> Stacked:
     """Do what `stack` promises."""
-    report = progress or silent
+    report = shown_progress(progress)
     made, standing = prepared(designs, asked)
     if out is not None:
         require_folder(out)
@@ -301,9 +301,7 @@ def run_stack(
 def prepared(designs: Sequence[Design], asked: StackRequest) -> tuple[tuple[Design, ...], Stack]:
     """Designs with the requested cells, and the stack of their windows; equal designs share one window.
 
-    Raises
-    ------
-    BadStack, DesignError, LimitRefused, UnknownFormat
+    Raises BadStack, DesignError, LimitRefused, UnknownFormat.
     """
     from clacad.prescription.prescribe import prescribe
 

@@ -4,7 +4,7 @@ Rays fill the first sheet or a zone of it, and a square of slopes; one cell wher
 alike. They are also counted per meridian: where the cells are rectangles along x and y, a ray stays in its
 telescopelets in x independently of y.
 
-Rays for a stack: over cells of the first sheet and a square of slopes, or from a point before it.
+The image of a point through a stack: by chief rays, and by the point nearest to all rays.
 """
 
 from __future__ import annotations
@@ -12,107 +12,27 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from math import tan
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
 
 from clacad.base.sobol import sobol
-from clacad.base.types import Bools, Floats, Ints, Pair2, Progress, Rung
+from clacad.base.types import Bools, Floats, Pair2, Progress, Rung
 from clacad.light.compare import rms_between
-from clacad.optics.rays import Fate, Rays, TraceResult
-from clacad.sheet.representative_cells import central_cell
-from clacad.sheet.stack import BadStack, Stack, StackedSheet
-from clacad.sheet.vignetting import aperture_slopes
+from clacad.optics.rays import Fate, TraceResult
+from clacad.sheet.stack import Stack, StackedSheet
 from clacad.stacking.chief_matrices import COUPLED, expected_share, length, meridian, no_meridian
-from clacad.tracing.through_stack import StackTrace, StackTracer
-
-
-def lit_cells(stack: Stack, zone: Pair2 | None = None) -> Ints:
-    """Cells (n, 2) of the first sheet that are lit.
-
-    zone : (width, height) or None, lengths of the stack
-        Cells whose centres lie in it, about the centre of the sheet. None: every cell, or only the central
-        one where all sheets are uniform and have one lattice, since it then represents every cell away from
-        the edges.
-
-    Raises
-    ------
-    BadStack
-        No cell lies in the zone.
-    """
-    first = stack.sheets[0]
-    if zone is None and _alike(stack):
-        return np.array([central_cell(first.window)])
-    cells = first.window.lattice.cells()
-    if zone is None:
-        return cells
-    away = np.abs(first.scale * first.window.centres(0, cells))
-    kept = cells[(away <= 0.5 * np.asarray(zone)).all(axis=1)]
-    if not len(kept):
-        low, high = first.scale * np.asarray(first.window.lattice.pitch)
-        raise BadStack(
-            f"zone {zone[0]:g} x {zone[1]:g}: no cell of the first sheet has its centre in it; "
-            f"a zone of {2.0 * low:g} x {2.0 * high:g} holds some"
-        )
-    return kept
-
-
-def _alike(stack: Stack) -> bool:
-    """Whether one cell of the first sheet represents all: all sheets are uniform and have one lattice."""
-    first = stack.sheets[0].window.lattice
-    return all(
-        one.window.uniform
-        and one.window.lattice.kind == first.kind
-        and np.allclose(one.scale * np.asarray(one.window.lattice.pitch), first.pitch, rtol=1e-9, atol=0.0)
-        for one in stack.sheets
-    )
-
-
-def launch(stack: Stack, points: Floats, field: float, cells: Ints) -> tuple[Floats, Floats]:
-    """Places (n, 2) on the first lens plane and slopes (n, 2), from points (n, 5) of the unit cube; lengths
-    of the stack.
-
-    Light fills each of the cells (m, 2), and a square of slopes about the centre of the field of each.
-    """
-    first = stack.sheets[0]
-    window = first.window
-    chosen = cells[(points[:, 4] * len(cells)).astype(np.int64)]
-    slope = aperture_slopes(window, chosen) + (2.0 * points[:, 2:4] - 1.0) * tan(field)
-    return first.scale * (window.lattice.over_cell(points[:, :2]) + window.centres(0, chosen)), slope
-
-
-def launched(stack: Stack, rays: int, field: float) -> Rays:
-    """Rays over the first sheet's central cell and a square of slopes, from before it; stack's lengths."""
-    middle = np.array([central_cell(stack.sheets[0].window)])
-    return started(stack, *launch(stack, sobol(rays, 5), field, middle))
-
-
-def started(stack: Stack, place: Floats, slope: Floats) -> Rays:
-    """Rays that cross the first lens plane at places (n, 2) with slopes (n, 2), from before the material."""
-    first = stack.sheets[0]
-    level = first.lens_planes[0]
-    back = level - first.span[0] + first.scale * max(first.window.lattice.pitch)
-    start = np.column_stack([place - back * slope, np.full(len(place), level - back)])
-    return Rays(start, np.column_stack([slope, np.ones(len(place))]))
-
-
-def middle_of_light(stack: Stack) -> Floats:
-    """Centre (2,) of the central cell of the first sheet, lengths of the stack."""
-    first = stack.sheets[0]
-    return np.asarray(first.scale * first.window.centres(0, np.array(central_cell(first.window))))
-
-
-def cone(stack: Stack, points: Floats, field: float, distance: float) -> tuple[Floats, Floats]:
-    """Places and slopes (n, 2) on the first lens plane of axial light, within field and lattice."""
-    window = stack.sheets[0].window
-    where = middle_of_light(stack)
-    x0, x1, y0, y1 = window.lattice.extent()
-    room = np.array([min(x1 - where[0], where[0] - x0), min(y1 - where[1], where[1] - y0)])
-    reach = np.minimum(distance * tan(field), np.maximum(room, 0.0))
-    place = (2.0 * points - 1.0) * reach
-    return place + where, place / distance
-
+from clacad.tracing.through_stack import (
+    StackTrace,
+    StackTracer,
+    cells_of,
+    cone,
+    launch,
+    lit_cells,
+    middle_of_light,
+    started,
+)
 
 FEWEST = 64
 """Number of rays below which a result is not given."""
@@ -223,21 +143,10 @@ def measure_light(
 ) -> tuple[StackLight, ...]:
     """Trace the same rays on several rungs and measure the light.
 
-    Parameters
-    ----------
-    tracers : sequence of StackTracer
-        Tracers of one stack; one has rung "surfaces", with which the others are compared.
-    rays : int
-    field : float, radians
-        Slopes reach to its tangent.
-    progress : callable
-    zone : (width, height) or None, lengths
-        Part of the first sheet that is lit, as of `lit_cells`.
-
-    Raises
-    ------
-    BadStack
-        No cell lies in the zone.
+    tracers : Tracers of one stack; one has rung "surfaces", with which the others are compared.
+    field : radians. Slopes reach to its tangent.
+    zone : (width, height) or None, lengths. Part of the first sheet that is lit, as of `lit_cells`.
+    Raises BadStack: No cell lies in the zone.
     """
     sent = _Sent.into(tracers[0].stack, rays, field, zone)
     found = {}
@@ -259,17 +168,22 @@ def measure_light(
 
 @dataclass(frozen=True, eq=False)
 class _Sent:
-    """Light sent into a stack: places and slopes (n, 2) on the first lens plane, and number of lit cells."""
+    """Light sent into a stack: places and slopes (n, 2) on the first lens plane, centres (n, 2) of the cells
+    it enters, and number of lit cells.
+    """
 
     place: Floats
     slope: Floats
+    centre: Floats
     field: float
     cells: int
 
     @staticmethod
     def into(stack: Stack, rays: int, field: float, zone: Pair2 | None) -> _Sent:
         cells = lit_cells(stack, zone)
-        return _Sent(*launch(stack, sobol(rays, 5), field, cells), field, len(cells))
+        points, first = sobol(rays, 5), stack.sheets[0]
+        centre = first.scale * first.window.centres(0, cells_of(points, cells))
+        return _Sent(*launch(stack, points, field, cells), centre, field, len(cells))
 
     def expected(self, stack: Stack) -> float:
         """Closed-form share of the first `SHARE_RAYS` of these rays."""
@@ -401,7 +315,10 @@ def _fitted(
     """B, D, A and C that best map places and slopes of the kept rays, and the rms residual of their places
     (length).
 
-    Light over one cell determines B and D only: A is set to 1, C to 0, and neither is given.
+    Light over one cell determines B and D only: A is set to 1, C to 0, and neither is given. Light over many
+    cells is fitted so that the residuals depend neither on the slope nor on the centre of the entered cell
+    (instrumental variables). Least squares would be biased where slopes grow across the sheet: the place
+    inside a cell, which the cell does not image, is part of the place.
     """
     if kept.sum() < FEWEST:
         return (None,) * 5
@@ -411,7 +328,114 @@ def _fitted(
     values = np.column_stack([left[kept] - place, out])
     terms = np.column_stack([slope, place] if many else [slope])
     terms, values = terms - terms.mean(axis=0), values - values.mean(axis=0)
-    fit, *_ = np.linalg.lstsq(terms, values, rcond=None)
+    if many:
+        known = np.column_stack([slope, sent.centre[kept, axis]])
+        known = known - known.mean(axis=0)
+        fit = np.linalg.solve(known.T @ terms, known.T @ values)
+    else:
+        fit, *_ = np.linalg.lstsq(terms, values, rcond=None)
     rest = float(np.sqrt(np.mean((values - terms @ fit)[:, 0] ** 2)))
     scale, focusing = (1.0 + float(fit[1, 0]), float(fit[1, 1])) if many else (None, None)
     return float(fit[0, 0]), float(fit[0, 1]), scale, focusing, rest
+
+
+@dataclass(frozen=True, eq=False)
+class StackImage:
+    """The image of a point before a stack.
+
+    Attributes
+    ----------
+    object_distance : float, length
+        Distance before array 1 of the first sheet, on the axis through the centre of the lit cell.
+    predicted : (x, y)
+        Distance of the image behind array 2 of the last sheet, < 0 before it; infinite where light leaves
+        parallel; None where the meridians are coupled.
+    magnification : (x, y)
+    by_rays : (x, y)
+        Distance at which the rays of a meridian are closest together, measured as `predicted`.
+    point : (3,) or None
+        Point nearest to all rays, least squares, from the centre of array 2 of the last sheet.
+    spread : float, length
+        Rms distance of the rays from it.
+    rays : int
+        Number of ALIVE rays used.
+    """
+
+    object_distance: float
+    predicted: tuple[float | None, float | None]
+    magnification: tuple[float | None, float | None]
+    by_rays: tuple[float | None, float | None]
+    point: tuple[float, float, float] | None
+    spread: float
+    rays: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return asdict(self)
+
+
+def measure_image(tracer: StackTracer, rays: int, field: float, distance: float) -> StackImage:
+    """Trace light of a point through the stack and locate its image.
+
+    field : radians. Light within slopes of its tangent, as far as the first sheet reaches.
+    distance : length. Of the point before array 1 of the first sheet.
+    """
+    stack = tracer.stack
+    first, last = stack.sheets[0], stack.sheets[-1]
+    place, slope = cone(stack, sobol(rays, 2), field, distance)
+    found = tracer(started(stack, place, slope))
+    alive = found.fate == Fate.ALIVE
+    where = middle_of_light(stack)
+    predicted = [meridian(stack, axis) for axis in (0, 1)]
+    images = [(None, None) if one is None else one.image(distance)[::2] for one in predicted]
+    shown = tuple(_finite(image[0]) for image in images)
+    sized = tuple(_finite(image[1]) for image in images)
+    point, spread = None, inf
+    lines: tuple[float | None, float | None] = (None, None)
+    if alive.sum() >= FEWEST:
+        at = found.position[alive] - [*where, last.lens_planes[1]]
+        way = found.direction[alive] / np.linalg.norm(found.direction[alive], axis=1)[:, None]
+        point, spread = nearest_point(at, way)
+        lines = (_waist(at, way, 0), _waist(at, way, 1))
+    assert first.scale == 1.0  # the stack's unit is the first sheet's
+    return StackImage(
+        distance, (shown[0], shown[1]), (sized[0], sized[1]), lines, point, spread, int(alive.sum())
+    )
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and isfinite(value) else None
+
+
+def nearest_point(position: Floats, direction: Floats) -> tuple[tuple[float, float, float] | None, float]:
+    """Point nearest to straight lines, from a linear system of three equations, and its rms distance from
+    them.
+
+    position, direction : (n, 3). Unit directions.
+
+    Returns
+    -------
+    point : (3,) or None
+        None where the lines are parallel within rounding error.
+    spread : float, length
+    """
+    middle = position.mean(axis=0)
+    across = np.eye(3) - direction[:, :, None] * direction[:, None, :]
+    whole = across.sum(axis=0)
+    if np.linalg.cond(whole) > 1e12:
+        return None, inf
+    point = np.linalg.solve(whole, np.einsum("nij,nj->i", across, position - middle))
+    away = np.einsum("nij,nj->ni", across, position - middle - point)
+    x, y, z = (point + middle).tolist()
+    return (x, y, z), float(np.sqrt((away**2).sum(axis=1).mean()))
+
+
+def _waist(position: Floats, direction: Floats, axis: int) -> float | None:
+    """Height z at which lines (n, 3) are closest together in a meridian; None where they are parallel."""
+    slope = direction[:, axis] / direction[:, 2]
+    place = position[:, axis] - slope * position[:, 2]
+    away = slope - slope.mean()
+    square = float(away @ away)
+    if square <= 1e-24 * len(slope):
+        return None
+    return float(-(away @ (place - place.mean())) / square)

@@ -28,21 +28,11 @@ Attributes = dict[str, str]
 def open_archive(path: Path, spent: Spending, *, streamed: bool = False) -> zipfile.ZipFile:
     """Open a zip file after checking its directory.
 
-    Parameters
-    ----------
-    path : Path
-    spent : Spending
-        Budget of its reader; the inflated size of the entries is counted.
-    streamed : bool
-        Whether entries are never held in memory; they may then have any compression ratio.
-
-    Raises
-    ------
-    UnreadableFile
-        Not a zip; too many entries; the compression ratio of a zip bomb; encrypted; an entry name that leaves
-        the folder or is repeated; a compression method other than stored or deflated.
-    OverBudget
-        It would inflate to more bytes than its reader's budget.
+    spent : Budget of its reader; the inflated size of the entries is counted.
+    streamed : Whether entries are never held in memory; they may then have any compression ratio.
+    Raises UnreadableFile: Not a zip; too many entries; the compression ratio of a zip bomb; encrypted; an
+        entry name that leaves the folder or is repeated; a compression method other than stored or deflated.
+    Raises OverBudget: It would inflate to more bytes than its reader's budget.
     """
     try:
         if _directory_bytes(path) > LONGEST_DIRECTORY:
@@ -126,21 +116,12 @@ def parse_xml(
     """Parse XML as a stream of events; no document type, no entities, bounded depth, bytes, seconds and
     tokens.
 
-    Parameters
-    ----------
     stream : binary stream
-    spent : Spending
-        Budget of its reader, with the name for messages.
-    start, end, text : callables
-        Element names come without their namespace prefix resolved ("model", "p:item").
-    runs : mapping or None
-        Name of a parent → elements in it that are read in bulk, without calls of `start` and `end`.
-
-    Raises
-    ------
-    UnreadableFile
-        Damaged, or a tag, comment or instruction of more than 256 kB.
-    OverBudget
+    spent : Budget of its reader, with the name for messages.
+    start, end, text : Element names come without their namespace prefix resolved ("model", "p:item").
+    runs : Name of a parent → elements in it that are read in bulk, without calls of `start` and `end`.
+    Raises UnreadableFile: Damaged, or a tag, comment or instruction of more than 256 kB.
+    Raises OverBudget.
     """
     parser, reader = _guarded_parser(spent.name, start, end, runs or {})
     if text is not None:

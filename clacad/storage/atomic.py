@@ -54,10 +54,7 @@ def file_hash(path: Path) -> str:
 def read_manifest(folder: Path, name: str = MANIFEST) -> dict[str, Any] | None:
     """Read the manifest of `folder`; None if no export wrote one.
 
-    Raises
-    ------
-    OverBudget
-        The manifest has more bytes, or lists more files, than its budget.
+    Raises OverBudget: The manifest has more bytes, or lists more files, than its budget.
     """
     try:
         spent = Spending("manifest", folder / name)
@@ -90,17 +87,9 @@ class Stage:
 
     Use as a context manager: any exit from the block removes the private folder.
 
-    Parameters
-    ----------
-    folder : path
-        Final folder of the files. Made if missing. A symbolic link to a folder is followed.
-    overwrite : bool
-        Whether files that are in no manifest of clacad may be replaced.
-
-    Raises
-    ------
-    CannotWrite
-        The folder cannot be made or written to.
+    folder : Final folder of the files. Made if missing. A symbolic link to a folder is followed.
+    overwrite : Whether files that are in no manifest of clacad may be replaced.
+    Raises CannotWrite: The folder cannot be made or written to.
     """
 
     def __init__(self, folder: str | os.PathLike[str], overwrite: bool = False) -> None:
@@ -142,16 +131,9 @@ class Stage:
     def path(self, name: str, *, replace: bool = False) -> Path:
         """Private path at which to write the file with the final name `name`.
 
-        Parameters
-        ----------
-        name : str
-        replace : bool
-            Whether a file of that name may be replaced, regardless of its writer.
-
-        Raises
-        ------
-        CannotWrite
-            The name is not a plain file name, or the existing file may not be replaced (ExportRefused).
+        replace : Whether a file of that name may be replaced, regardless of its writer.
+        Raises CannotWrite: The name is not a plain file name, or the existing file may not be replaced
+            (ExportRefused).
         """
         assert self._private is not None, "a Stage is used inside its with block"
         if not _NAME.match(name):
@@ -258,10 +240,7 @@ def canonical_json(value: Mapping[str, Any]) -> str:
 def require_writable(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Check before long work that a file can be written after it; nothing is left behind.
 
-    Raises
-    ------
-    CannotWrite, ExportRefused
-        As `write_file` would.
+    Raises CannotWrite, ExportRefused: As `write_file` would.
     """
     path = Path(path)
     require_folder(path.parent)
@@ -269,12 +248,7 @@ def require_writable(path: str | os.PathLike[str], *, overwrite: bool = False) -
 
 
 def require_folder(folder: str | os.PathLike[str]) -> None:
-    """Check before long work that a folder can be made or written to; nothing is made.
-
-    Raises
-    ------
-    CannotWrite
-    """
+    """Check before long work that a folder can be made or written to; nothing is made. Raises CannotWrite."""
     place = Path(folder).absolute()
     while not os.path.lexists(place):
         place = place.parent
@@ -297,20 +271,12 @@ def write_file(
 ) -> None:
     """Write one file atomically.
 
-    Parameters
-    ----------
-    path : path
-        Final name; its folder is made if missing.
-    write : callable(Path)
-        Writes the file at the given private path.
-    overwrite : bool
-        Whether an existing file may be replaced.
+    path : Final name; its folder is made if missing.
+    write : callable(Path). Writes the file at the given private path.
+    overwrite : Whether an existing file may be replaced.
     check : callable(Path) or None
         Reads the private file back; if it raises, the file at the final name is unchanged.
-
-    Raises
-    ------
-    CannotWrite, ExportRefused
+    Raises CannotWrite, ExportRefused.
     """
     path = Path(path)
     with Stage(path.parent, overwrite=overwrite) as stage:
@@ -326,9 +292,7 @@ def write_file(
 def write_content(path: str | os.PathLike[str], content: str | bytes, *, overwrite: bool = False) -> None:
     """Write a text (UTF-8, unchanged) or bytes as one file, atomically; see `write_file`.
 
-    Raises
-    ------
-    CannotWrite, ExportRefused
+    Raises CannotWrite, ExportRefused.
     """
     write_file(path, lambda private: _write(private, content), overwrite=overwrite)
 
@@ -347,19 +311,12 @@ def write_set(
 ) -> None:
     """Write several files into one folder: all of them appear, or none.
 
-    Parameters
-    ----------
-    folder : path
-        Made if missing.
+    folder : Made if missing.
     contents : mapping of file name to text (UTF-8, unchanged) or bytes
-    overwrite : bool
-        Whether existing files may be replaced.
+    overwrite : Whether existing files may be replaced.
     replace : callable(Path) -> bool
         Whether an individual existing file may be replaced although `overwrite` is False.
-
-    Raises
-    ------
-    CannotWrite, ExportRefused
+    Raises CannotWrite, ExportRefused.
     """
     with Stage(folder, overwrite=overwrite) as stage, translated(stage.folder):
         for name, content in contents.items():
@@ -371,15 +328,9 @@ def write_set(
 def scratch_folder(file: Path | None = None) -> Iterator[Path]:
     """Yield a private folder for temporary files; it is removed at the end, remains of dead processes first.
 
-    Parameters
-    ----------
-    file : Path or None
-        File that the work reads. If it is staged, the folder lies in its stage, since an export writes
+    file : File that the work reads. If it is staged, the folder lies in its stage, since an export writes
         nothing outside its own folder; otherwise it lies in the system's folder for temporary files.
-
-    Raises
-    ------
-    CannotWrite
+    Raises CannotWrite.
     """
     staged = file is not None and _PRIVATE.match(file.parent.name) is not None
     place = file.parent if file is not None and staged else Path(tempfile.gettempdir())

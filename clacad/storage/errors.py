@@ -44,11 +44,8 @@ class NotPossible(ExportError):
 class ExportIncomplete(ExportError):
     """Some files could not be made; the others were published, and `manifest` lists them.
 
-    Parameters
-    ----------
     failures : mapping of format to ExportError
-    manifest : Manifest
-        Manifest of the published files.
+    manifest : Manifest. Manifest of the published files.
     """
 
     def __init__(self, failures: Mapping[str, ExportError], manifest: Any) -> None:
@@ -81,14 +78,9 @@ def refused_by_system(error: OSError, what: str) -> LimitRefused | None:
 class WorkerDied(ExportError):
     """The process that did the native work ended without an answer.
 
-    Parameters
-    ----------
-    sentence : str
-        What happened, in one sentence.
-    details : str
-        Last lines of the process's error stream; for a log, not for the user.
-    over_budget : bool
-        Whether it ended because it exceeded its memory or processor time.
+    sentence : What happened, in one sentence.
+    details : Last lines of the process's error stream; for a log, not for the user.
+    over_budget : Whether it ended because it exceeded its memory or processor time.
     """
 
     def __init__(self, sentence: str, details: str = "", *, over_budget: bool = False) -> None:

@@ -36,25 +36,11 @@ LOOK = 4096
 class Spending:
     """Counts the resources of reading one file; the file is rejected as soon as they exceed the budget.
 
-    Parameters
-    ----------
-    reader : str
-        A key of `BUDGETS`.
-    path : path
-    size : int or None
-        Bytes of the file; None: its size on the disk.
-
-    Raises
-    ------
-    OverBudget
-        The file has more bytes than the reader's budget.
-    OSError
-        The file does not exist.
-
-    Attributes
-    ----------
-    size : int
-        Bytes of the file, unpacked.
+    reader : A key of `BUDGETS`.
+    size : Bytes of the file; None: its size on the disk.
+    Raises OverBudget: The file has more bytes than the reader's budget.
+    Raises OSError: The file does not exist.
+    size : Bytes of the file, unpacked.
     """
 
     def __init__(self, reader: str, path: str | os.PathLike[str], size: int | None = None) -> None:
@@ -68,21 +54,14 @@ class Spending:
     def unpacked(self, size: int, of: str = "") -> None:
         """Record the (inflated) size of the file in bytes; more bytes allow more seconds.
 
-        Raises
-        ------
-        OverBudget
+        Raises OverBudget.
         """
         self.size = max(self.size, size)
         if size > self.budget.bytes:
             raise self._refusal(f"{size:,} bytes{of} are more than the {self.budget.bytes:,} that are read")
 
     def count(self, items: int, at: str = "") -> None:
-        """Record `items` more items; `at` gives the position in the file.
-
-        Raises
-        ------
-        OverBudget
-        """
+        """Record `items` more items; `at` gives the position in the file. Raises OverBudget."""
         self.items += items
         most = self.budget.items
         if most is not None and self.items > most:
@@ -91,9 +70,7 @@ class Spending:
     def look(self, at: str = "") -> None:
         """Compare the processor seconds of this thread since the beginning with the budget.
 
-        Raises
-        ------
-        OverBudget
+        Raises OverBudget.
         """
         self._hold(time.thread_time() - self._began, at)
 
@@ -102,9 +79,7 @@ class Spending:
         """Compare the processor seconds of all such blocks with the budget, for a reader that works on
         demand.
 
-        Raises
-        ------
-        OverBudget
+        Raises OverBudget.
         """
         began = time.thread_time()
         yield
@@ -122,11 +97,8 @@ class Spending:
     def lines(self, stream: IO[bytes]) -> Iterator[bytes]:
         """Lines of a text file; the clock is checked at intervals.
 
-        Raises
-        ------
-        UnreadableFile
-            A line has more than 65,536 bytes.
-        OverBudget
+        Raises UnreadableFile: A line has more than 65,536 bytes.
+        Raises OverBudget.
         """
         number = 0
         while line := stream.readline(LONGEST_LINE + 1):
@@ -149,10 +121,7 @@ class Overheard:
 
     A file of gigabytes is therefore read once, and the hash is that of the checked bytes.
 
-    Attributes
-    ----------
-    heard : int
-        Number of bytes hashed so far, from the start of the file.
+    heard : int. Number of bytes hashed so far, from the start of the file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -198,12 +167,8 @@ class Parser(Protocol):
 class ElementRun:
     """Elements of one form in one parent.
 
-    Parameters
-    ----------
-    form : bytes
-        Regular expression of one element.
-    take : callable
-        Receives the text of many elements, spaces between them included.
+    form : bytes. Regular expression of one element.
+    take : Receives the text of many elements, spaces between them included.
     """
 
     form: bytes
@@ -214,11 +179,7 @@ class ElementRun:
 class RunReader:
     """Passes text to a parser, except the runs in it.
 
-    Parameters
-    ----------
-    parser : Parser
-    runs : mapping
-        Name of the parent → the run within it.
+    runs : Name of the parent → the run within it.
     """
 
     parser: Parser

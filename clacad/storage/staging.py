@@ -25,9 +25,8 @@ def exchange(
     """Move new files into place, old ones out, and one file last; undo everything if a move fails.
 
     `names` are moved from `private` into `folder`; files `gone` leave it first and for good; `last` is a
-    private file
-    and the name it is published by. OSError: nothing has changed. Unfinished: it could neither be done nor
-    undone.
+    private file and the name it is published by. OSError: nothing has changed. Unfinished: it could neither
+    be done nor undone.
     """
 
     def kept(name: str) -> Path:

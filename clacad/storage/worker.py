@@ -120,14 +120,9 @@ def end_all() -> None:
 class Worker:
     """One child process that runs functions named "module:function" and answers in JSON.
 
-    Parameters
-    ----------
-    memory : int or None
-        Limit of the address space in bytes.
-    cpu : int or None
-        Limit of processor time in seconds.
-    preload : sequence of str
-        Modules to import at once, while the parent still prepares the work.
+    memory : Limit of the address space in bytes.
+    cpu : Limit of processor time in seconds.
+    preload : Modules to import at once, while the parent still prepares the work.
 
     Notes
     -----
@@ -198,13 +193,10 @@ class Worker:
         arguments, options : passed on (pickled: they come from this program, never from a file)
         timeout : seconds after which the child is killed
         progress : receives the stages the function reports through `report_stage`
-
-        Raises
-        ------
-        WorkerDied
-            The child crashed, ran out of memory or time, or answered nonsense.
-        CannotWrite, LimitRefused, UnreadableFile, OverBudget, FileDisagrees, ExportRefused, NotPossible
-            Raised by the function itself; the last for any other error that has an exit status of its own.
+        Raises WorkerDied: The child crashed, ran out of memory or time, or answered nonsense.
+        Raises CannotWrite, LimitRefused, UnreadableFile, OverBudget, FileDisagrees, ExportRefused,
+            NotPossible: Raised by the function itself; the last for any other error that has an exit status
+            of its own.
         """
         self.start()
         process = self._process

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -38,7 +38,7 @@ class ColumnLine:
         """Front and back height (2, n) at t, NaN where void, and where each is lens (or plane), (2, n)."""
         columnar = self.front.face.array is not None and self.back.face.array is not None
         alone, proud, bare = [], [], []
-        for profile, side in ((self.front, 1), (self.back, -1)):
+        for profile in (self.front, self.back):
             if profile.face.array is None:
                 lens = profile.lens(t)
                 alone.append(lens)
@@ -48,7 +48,7 @@ class ColumnLine:
             land = np.full(np.shape(t), _land(profile.face))
             lens = profile.lens(t) if self.zone else np.full(np.shape(t), np.nan)
             with np.errstate(invalid="ignore"):
-                proud.append(np.isfinite(lens) & ~(side * (lens - land) >= 0.0))
+                proud.append(np.isfinite(lens) & ~(profile.face.land_side * (lens - land) >= 0.0))
             alone.append(np.where(proud[-1], lens, land))
             bare.append(lens if self.zone else land)
         with np.errstate(invalid="ignore"):
@@ -82,17 +82,11 @@ def make_border(
 ) -> Border:
     """Build border class k of a body's tiling on `array`.
 
-    Parameters
-    ----------
     window, body, array
-    columnar : bool
-        The tiling cuts both faces (columns); else only the face that repeats on `array`.
-    k : int
-        Border class, 0 … m/2 − 1.
-    merge : length
-        Steps that never exceed it are no steps.
-    spacing : length
-        Crossings closer than that to a node or to one another are dropped.
+    columnar : The tiling cuts both faces (columns); else only the face that repeats on `array`.
+    k : Border class, 0 … m/2 − 1.
+    merge : length. Steps that never exceed it are no steps.
+    spacing : length. Crossings closer than that to a node or to one another are dropped.
     """
     left, right, sides = _border_lines(window, (body, body), array, columnar, k)
     a, b = np.array(left.front.start), np.array(left.front.end)
@@ -108,12 +102,8 @@ def make_border(
 def roots_between(window: Window, bodies: tuple[Body, Body], array: int, columnar: bool, k: int) -> Floats:
     """`Border.roots` (n,) of border class k between two cells of a non-uniform sheet.
 
-    Parameters
-    ----------
-    bodies : (left, right)
-        The body as it is in either cell.
-    window, array, columnar, k
-        As in `make_border`.
+    bodies : (left, right). The body as it is in either cell.
+    window, array, columnar, k : As in `make_border`.
     """
     return _roots(*_border_lines(window, bodies, array, columnar, k), columnar)
 
@@ -189,6 +179,33 @@ def rounding(*lines: ColumnLine) -> float:
                 float(z.max()) if z.size else 0.0,
             )
     return 8.0 * _EPS * scale
+
+
+def compared(
+    body: Body, array: int, columnar: bool, lines: tuple[Floats, Floats]
+) -> Iterator[tuple[Floats, float]]:
+    """Differences (b, n) of heights on borders of one class that may change sign, each with its rounding.
+
+    `lines`: front and back lenses (b, n, 2) of the left and of the right cells; other arguments as in
+    `make_border`.
+    """
+    faces = body.front, body.back
+    finite = [np.abs(z[np.isfinite(z)]).max(initial=0.0) for z in lines]
+    noise = 8.0 * _EPS * max(*finite, *(abs(face.vertex[2]) for face in faces))
+    left, right = ([z[..., 0], z[..., 1]] for z in lines)
+    if columnar:
+        pairs = [(left, right), (right, left)]
+        if any(face.array is not None for face in faces):
+            pairs += [(left, left), (right, right)]
+        yield from ((one[1] - other[0], noise) for one, other in pairs)
+    for side in (0, 1) if columnar else (0,) if faces[0].array == array else (1,):
+        face = faces[side]
+        if face.array is None:
+            continue
+        if face.land is not None:
+            yield left[side] - face.land, noise
+            yield right[side] - face.land, noise
+        yield left[side] - right[side], noise
 
 
 def _spaced(t: Floats, spacing: float) -> Floats:

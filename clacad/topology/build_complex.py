@@ -85,22 +85,13 @@ def cell_complex(
 ) -> CellComplex:
     """Build the one topology of a body that mesh and B-Rep share.
 
-    Parameters
-    ----------
-    window : Window
-    body : Body
-        One of `window.bodies`.
-    merge : length, optional
-        Heights at a node or border that differ by less are merged. Default 1 nm (1e-6 mm, ten times
-        the uncertainty stated in a STEP file), at most 1e-3 of the pitch.
+    body : One of `window.bodies`.
+    merge : length, optional. Heights at a node or border that differ by less are merged. Default 1 nm (1e-6
+        mm, ten times the uncertainty stated in a STEP file), at most 1e-3 of the pitch.
     spacing : length, optional
         Crossings closer than that to a node or to one another are dropped. Default: `merge`.
-
-    Raises
-    ------
-    ValueError
-        The body's two faces repeat on displaced arrays but the window has no outline; or an outline is
-        requested for a face without land.
+    Raises ValueError: The body's two faces repeat on displaced arrays but the window has no outline; or an
+        outline is requested for a face without land.
     """
     if merge is None:
         merge = min(1e-9 / window.unit, 1e-3 * min(window.lattice.pitch))
@@ -156,8 +147,7 @@ class TracedCurve:
 
     points : (n, 2) lengths
         Points on the curve in the cell frame, in order, the lens on the left hand; exact to rounding.
-    closed : bool
-        A loop inside the cell (its last point is its first); otherwise it runs from side to side.
+    closed : A loop inside the cell (its last point is its first); otherwise it runs from side to side.
     """
 
     points: Floats
@@ -171,17 +161,8 @@ def trace_zero(function: Gap, polygon: Floats, fan: int = FAN) -> tuple[TracedCu
     neighbouring inner grid points are missed. On the polygon's own sides none is missed if the caller
     passes their roots to the mesh.
 
-    Parameters
-    ----------
-    function : callable
-    polygon : (m, 2) lengths
-        Corners, counter-clockwise.
-    fan : int
-
-    Returns
-    -------
-    tuple of TracedCurve
-        The region where the function is positive lies on the left hand.
+    polygon : (m, 2) lengths. Corners, counter-clockwise.
+    Returns: The region where the function is positive lies on the left hand.
     """
     points, triangles = _fan_grid(polygon, fan)
     positive = function(points[:, 0], points[:, 1]) > 0.0

@@ -44,9 +44,6 @@ Part = Literal["lens", "land", "void"]
 class HeightProfile:
     """The exact height of one lenslet, land plane or plane face along a straight line of the cell frame.
 
-    Parameters
-    ----------
-    face : Face
     start, end : (2,) lengths
         The line in the frame of the cell the face belongs to; t = 0 at start, 1 at end.
     """
@@ -73,11 +70,9 @@ class HeightProfile:
 class Stretch:
     """A stretch of a border on which nothing changes for one face.
 
-    start, stop : float
-        Parameters on the border, 0 … 1.
-    sign : −1, 0 or +1
-        Sign of d = z_left − z_right. 0 where a side is void or the step never exceeds the merge height: the
-        cells then share ONE edge and have no wall.
+    start, stop : Parameters on the border, 0 … 1.
+    sign : −1, 0 or +1. Sign of d = z_left − z_right. 0 where a side is void or the step never exceeds the
+        merge height: the cells then share ONE edge and have no wall.
     left, right : "lens", "land" or "void"
         Kind of the face, left and right of the border. Both void: no edge at all.
     """
@@ -94,23 +89,17 @@ class Border:
     """One class of congruent borders.
 
     index : k, 0 … m/2 − 1
-    step : (di, dj)
-        Index step from the left to the right cell.
-    start, end : (2,) lengths
-        In the left cell's frame (t = 0, 1).
-    steps : side → tuple of Stretch
-        Stretches of each face that repeats on this tiling, with the sign of the step, from 0 to 1 without
+    step : (di, dj). Index step from the left to the right cell.
+    start, end : (2,) lengths. In the left cell's frame (t = 0, 1).
+    steps : Stretches of each face that repeats on this tiling, with the sign of the step, from 0 to 1 without
         gaps.
-    joints : ((t0, t1), ...) or None
-        Stretches on which the two columns share material. None where the body's two faces repeat on
-        different tilings
-        (always joined).
+    joints : ((t0, t1), ...) or None. Stretches on which the two columns share material. None where the body's
+        two faces repeat on different tilings (always joined).
     breaks : (n,) parameters
         Every parameter at which anything on the border changes (crossings of fronts and of backs,
         rims of either cell, ends of joints), ascending, ends excluded. Both cells need a vertex there.
-    roots : (n,) parameters
-        Every sign change of every difference of lens and land heights on the border, visible or not
-        (for example a crossing hidden under land), unspaced; `breaks` is chosen from them.
+    roots : (n,) parameters. Every sign change of every difference of lens and land heights on the border,
+        visible or not (for example a crossing hidden under land), unspaced; `breaks` is chosen from them.
     """
 
     index: int
@@ -127,13 +116,11 @@ class Border:
 class Node:
     """One class of congruent nodes, where the corners of k cells meet.
 
-    cells : (((di, dj), corner), ...)
-        The k cells counter-clockwise: index step from the first cell, and which of its tile's corners
-        lies at the node. The first entry is ((0, 0), corner).
+    cells : (((di, dj), corner), ...). The k cells counter-clockwise: index step from the first cell, and
+        which of its tile's corners lies at the node. The first entry is ((0, 0), corner).
     saddle_front, saddle_back : bool
         Four walls share one vertical edge: one diagonal pair of cells is higher than the other.
-    joined : bool
-        All k columns share material at the node (false: a pinhole, columns that touch in a line, or no
+    joined : All k columns share material at the node (false: a pinhole, columns that touch in a line, or no
         common height).
     """
 
@@ -148,11 +135,10 @@ class Tiling:
     """The complex of the faces that repeat on one array.
 
     array : 0 or 1
-    shift : (2,) lengths
-        Displacement of the array's cells against the lattice.
+    shift : (2,) lengths. Displacement of the array's cells against the lattice.
     tile : (m, 2) lengths
-    borders : tuple of Border, m/2 of them
-    nodes : tuple of Node, 1 or 2
+    borders : m/2 of them
+    nodes : 1 or 2
     """
 
     array: int
@@ -166,13 +152,9 @@ class Tiling:
 class CellComplex:
     """ONE topology of a body, from which mesh and B-Rep are both derived.
 
-    window : Window
-    body : Body
-    merge : length
-        Merge height h: heights at a node or border closer than h are merged.
-    tilings : (Tiling,) or (front's Tiling, back's Tiling)
-        One where the body is cut into columns (both faces on one tiling, or one face a plane); two for
-        a slab whose arrays are displaced against one another.
+    merge : length. Merge height h: heights at a node or border closer than h are merged.
+    tilings : (Tiling,) or (front's Tiling, back's Tiling). One where the body is cut into columns (both faces
+        on one tiling, or one face a plane); two for a slab whose arrays are displaced against one another.
     """
 
     window: Window
@@ -201,17 +183,9 @@ def solid_strips(
 ) -> list[tuple[bool, bool]]:
     """Whether the left and the right column are solid in each strip between consecutive curves over a border.
 
-    Parameters
-    ----------
-    curves : iterable
-        Ascending; coincident curves of both columns are passed together.
-    below : (left, right)
-        Whether a column is solid below all curves.
-
-    Returns
-    -------
-    list of (left, right)
-        One fewer than there are curves. A wall fills a strip where the two differ.
+    curves : Ascending; coincident curves of both columns are passed together.
+    below : (left, right). Whether a column is solid below all curves.
+    Returns list of (left, right): One fewer than there are curves. A wall fills a strip where the two differ.
     """
     depth = [int(solid) for solid in below]
     strips = []
@@ -264,11 +238,7 @@ class CannotBuild(ValueError):
 
     Exit status 2.
 
-    Parameters
-    ----------
-    code : str
-        A key of `CODES`.
-    reason : str
+    code : A key of `CODES`.
     """
 
     exit_status = 2
@@ -284,10 +254,7 @@ class CannotBuild(ValueError):
 def refuse_buried_land(front: Face, back: Face) -> None:
     """Refuse a plano lens whose land lies behind its plane face: no material is left between its lenslets.
 
-    Raises
-    ------
-    CannotBuild
-        CL134, with the thickness at which the land fits.
+    Raises CannotBuild: CL134, with the thickness at which the land fits.
     """
     lens, plane = (front, back) if back.array is None else (back, front)
     if lens.array is None or plane.array is not None or lens.land is None:

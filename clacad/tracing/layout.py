@@ -43,27 +43,17 @@ SLOPE_MARGIN = 1.25
 class FacePlan:
     """One face, relative to its body.
 
-    Attributes
-    ----------
     surface : Quadric, Biconic or EvenPolynomial
-    vertex : (3,) lengths
-        Apex: x, y from the cell's centre, z from the body's `level`.
-    rotation : (3, 3) or None
-        Lens → sheet; None when the axes coincide and no rotation is needed.
-    array : int or None
-    land : float
-        Height of the land over the body's level; NaN without land.
-    low, high : float, lengths
-        Bounds of the face's height (lens and land) over the body's level.
-    slope : float
-        Bound of the lens's slope against the sheet plane.
-    whole : bool
-        The lens is a graph over all of its optical zone and protrudes beyond the land there.
-    change : VertexChange or None
-        Offset of the lens of each cell from `vertex`, and its size.
-    blind : 0, 1 or 2
-        Index (1: i, 2: j) that does not affect which lens is met, because the face is invariant along it: see
-        `Face.blind`.
+    vertex : (3,) lengths. Apex: x, y from the cell's centre, z from the body's `level`.
+    rotation : (3, 3) or None. Lens → sheet; None when the axes coincide and no rotation is needed.
+    land : Height of the land over the body's level; NaN without land.
+    low, high : lengths. Bounds of the face's height (lens and land) over the body's level.
+    slope : Bound of the lens's slope against the sheet plane.
+    whole : The lens is a graph over all of its optical zone and protrudes beyond the land there.
+    change : Offset of the lens of each cell from `vertex`, and its size.
+    blind : 0, 1 or 2. Index (1: i, 2: j) that does not affect which lens is met, because the face is
+        invariant along it: see `Face.blind`.
+    land_side : +1 or −1. Side of the lens on which the land lies: see `Face.land_side`.
     """
 
     surface: Surface
@@ -77,34 +67,24 @@ class FacePlan:
     whole: bool
     change: VertexChange | None = None
     blind: int = 0
+    land_side: int = 1
 
 
 @dataclass(frozen=True, eq=False)
 class BodyPlan:
     """One body: its two faces and its outline.
 
-    Attributes
-    ----------
-    front, back : FacePlan
-    columnar : bool
-    level : float, sheet-frame z that heights are relative to (the front apex)
-    low, high : float
-        Bounds of the material over `level`.
-    covered : bool
-        Front lies below back everywhere in a cell, so a hit on either lens is a hit on the body.
-    separate : bool
-        The front's highest point lies below the back's lowest.
-    box : (x_min, x_max, y_min, y_max)
-        Sheet-frame bounds of the footprint.
+    level : sheet-frame z that heights are relative to (the front apex)
+    low, high : Bounds of the material over `level`.
+    covered : Front lies below back everywhere in a cell, so a hit on either lens is a hit on the body.
+    separate : The front's highest point lies below the back's lowest.
+    box : (x_min, x_max, y_min, y_max). Sheet-frame bounds of the footprint.
     inner : (half_x, half_y, radius)
         A convex region about `centre` that lies inside the footprint: a rectangle cut by a circle.
     outline : ("none" | "circle" | "rectangle" | "plate", half_x, half_y)
-    centre : (x, y)
-        Of the outline and of `inner`, sheet frame.
-    plate : Plate or None
-        The outline where it is a plate, in the sheet frame.
-    joined : bool
-        Whether the front is the joint with the body before.
+    centre : (x, y). Of the outline and of `inner`, sheet frame.
+    plate : The outline where it is a plate, in the sheet frame.
+    joined : Whether the front is the joint with the body before.
     """
 
     front: FacePlan
@@ -134,23 +114,15 @@ class BodyPlan:
 class Layout:
     """The window as the tracer sees it.
 
-    Attributes
-    ----------
-    window : Window
-    bodies : tuple of BodyPlan
     normals : (arrays, k, 2)
         Unit normals of the borders of a cell of every array, one of each opposite pair (2 or 3).
-    halves : (k,) lengths
-        Of array 0.
-    margin : float
-        Land on the inside of every border: seam / 2.
+    halves : (k,) lengths. Of array 0.
+    margin : Land on the inside of every border: seam / 2.
     lattices : tuple of Lattice, one an array
         Pattern of its cells about its own middle; `lattice` decides which cells exist.
-    widths : (arrays, k) lengths
-        `halves` of every array.
-    whole_steps : (arrays, arrays, 2) ints, residual : (arrays, arrays, 2) lengths
-        [a, b]: displacement of array b against array a, as lattice steps plus a residual. For arrays of one
-        pitch.
+    widths : (arrays, k) lengths. `halves` of every array.
+    whole_steps : (arrays, arrays, 2) ints, residual : (arrays, arrays, 2) lengths. [a, b]: displacement of
+        array b against array a, as lattice steps plus a residual. For arrays of one pitch.
     """
 
     window: Window
@@ -417,7 +389,7 @@ def _plan_face(
     if not low <= high:  # no lens and no land anywhere: the body is empty
         low = high = 0.0
     proud = face.land is None or bool(
-        ((z[zone] - level - land) * face.side <= 0.0).all() if seen[zone].all() else False
+        ((z[zone] - level - land) * face.land_side <= 0.0).all() if seen[zone].all() else False
     )
     return FacePlan(
         surface=face.surface,
@@ -431,6 +403,7 @@ def _plan_face(
         whole=bool(seen[zone].all()) and proud,
         change=face.change,
         blind=face.blind,
+        land_side=face.land_side,
     )
 
 

@@ -71,7 +71,7 @@ class SheetTracer:
         need_window(self.window, "trace", ", rays")
         self._refuse_words()
         if self.precision == "float32" or (
-            self.path == "numba" and self.rung in ("law", "thin") and not has_kernel(self.rung, self.window)
+            self.path == "numba" and self.rung == "thin" and not has_kernel(self.rung, self.window)
         ):
             need_equal_cells(self.window, "this compiled tracer", 'path "numpy" or "size" traces it')
         if self.rung == "mesh":
@@ -105,7 +105,8 @@ class SheetTracer:
                 return _by_numpy(self.facets.layout, rays, "surfaces", recorded)
             return _compiled(self.facets.layout, rays, recorded, self.threads, self.facets.found_in)
         layout, single = lay_out(self.window), self.precision == "float32"
-        if single or compiled_suits(self.rung, self.path, len(rays), faces, layout):
+        path: Path | None = "numpy" if self.continuous else self.path
+        if single or compiled_suits(self.rung, path, len(rays), faces, layout):
             if self.rung == "surfaces":
                 return _compiled(layout, rays, recorded, self.threads, single=single)
             if not record:
@@ -135,7 +136,7 @@ class SheetTracer:
         if self.facets is not None or self.precision == "float32":
             few = self._tiles_in_numpy(rays, 2 * len(self.window.bodies))
             return "numpy" if few else "numba"
-        if not self.window.uniform and self.rung != "law":
+        if self.continuous:
             return "numpy"
         faces = 2 * len(self.window.bodies) if self.rung == "surfaces" else IDEAL_FACES
         return "numba" if compiled_suits(self.rung, self.path, rays, faces, lay_out(self.window)) else "numpy"
@@ -206,7 +207,7 @@ def _ideal(layout: Layout, rays: Rays, rung: Rung, threads: int | None) -> Trace
     ledger, waves = Ledger.blank(len(rays), 0), rays.wavelength
     trace_plain = trace_law_plain if rung == "law" else trace_thin_plain
     rest, result = trace_plain(layout, rays, ledger, thread_count(threads)), ledger.closed()
-    LOADED.add(rung)
+    LOADED.add(kernels_of(rung, layout))
     if waves is not None:  # a ray without a valid wavelength is INVALID regardless of the geometry
         rest = np.union1d(rest, np.flatnonzero(~(np.isfinite(waves) & (waves > 0.0))))
     if len(rest):

@@ -18,6 +18,7 @@ from time import thread_time
 from typing import Literal
 
 from clacad.base.types import Rung
+from clacad.optics.surface import Quadric
 from clacad.sheet.window import Window
 from clacad.tracing.layout import Layout
 
@@ -34,8 +35,10 @@ Kernel = Literal["surfaces", "mesh", "float32", "law", "thin"]
 COMPILING: Mapping[Kernel, float] = {"surfaces": 35.0, "mesh": 41.0, "float32": 20.0, "law": 7.0, "thin": 9.0}
 """Processor seconds to compile each kernel where it is not cached (`tests/benchmarks/calls.md`)."""
 
-IN_NUMPY: Mapping[Rung, float] = {"law": 2.2e-7, "thin": 5.5e-7, "surfaces": 7e-7}
-"""Seconds of a ray-surface in numpy, until some were measured in this process."""
+IN_NUMPY: Mapping[str, float] = {"law": 2.2e-7, "thin": 5.5e-7, "surfaces": 7e-7, "iterated": 6e-6}
+"""Seconds of a ray-surface in numpy, until some were measured in this process; rung surfaces: of quadrics.
+Iterated: biconics and even polynomials, which are solved by Newton steps.
+"""
 
 LEAST_MEASURED = 4096
 """Rays of a call from which on its time is attributed to its rays."""
@@ -72,17 +75,26 @@ def compiled_suits(rung: Rung, path: Path | None, rays: int, faces: int, layout:
     kernels = kernels_of(rung, layout)
     if kernels in LOADED:
         return True
-    WAITED[kernels] = WAITED.get(kernels, 0.0) + rays * faces * MEASURED.get(kernels, IN_NUMPY[_rate(rung)])
+    WAITED[kernels] = WAITED.get(kernels, 0.0) + rays * faces * MEASURED.get(kernels, _expected(rung, layout))
     return WAITED[kernels] > LOADING and WAITED[kernels] > _worth(rung, layout)
 
 
 @contextmanager
 def measuring(rung: Rung, layout: Layout, rays: int, faces: int) -> Iterator[None]:
-    """Measure the processor seconds of numpy for rays: non-uniform sheets take longer than uniform ones."""
+    """Measure the processor seconds of numpy for rays: they depend on the surfaces and on the machine."""
     began = thread_time()
     yield
     if rays >= LEAST_MEASURED:
         MEASURED[kernels_of(rung, layout)] = (thread_time() - began) / (rays * faces)
+
+
+def _expected(rung: Rung, layout: Layout) -> float:
+    """Seconds of a ray-surface in numpy: the mean of the sheet's faces."""
+    if rung != "surfaces":
+        return IN_NUMPY[_rate(rung)]
+    surfaces = [face.surface for body in layout.bodies for face in (body.front, body.back)]
+    each = [IN_NUMPY["surfaces" if isinstance(one, Quadric) else "iterated"] for one in surfaces]
+    return sum(each) / len(each)
 
 
 def _rate(rung: Rung) -> Rung:
@@ -91,17 +103,24 @@ def _rate(rung: Rung) -> Rung:
 
 
 def has_kernel(rung: Rung, window: Window) -> bool:
-    """Whether a rung of a sheet has kernels: law needs one law, thin a uniform sheet, no field lens."""
+    """Whether a rung of a sheet has kernels: arrays not turned, lenses that do not rise with the places of
+    their cells, and rung thin without a field lens.
+    """
     if rung == "law":
-        return window.cell_laws is None
+        return True
+    changes = [window.thin.change] if rung == "thin" else [face.change for face in window.faces]
+    if any(change is not None and any(change.climb) for change in changes):
+        return False
     if rung == "thin":
-        return window.uniform and not window.thin.field
-    return window.level_and_straight
+        return not (window.thin.field or window.thin.turn)
+    return not any(place.turn for place in window.placements)
 
 
 def kernels_of(rung: Rung, layout: Layout) -> str:
-    """Name of the kernels that trace a rung: non-uniform sheets have their own, except on rung law."""
-    return rung if layout.window.uniform or rung == "law" else f"{rung} of cells that differ"
+    """Name of the kernels that trace a rung: non-uniform sheets have their own; on rung law, varying laws."""
+    window = layout.window
+    alike = window.uniform if rung != "law" else window.cell_laws is None
+    return rung if alike else f"{rung} of cells that differ"
 
 
 def _worth(rung: Rung, layout: Layout) -> float:
@@ -141,15 +160,9 @@ def trace_seconds(
 ) -> float:
     """Processor seconds of a trace.
 
-    Parameters
-    ----------
-    rays : int
     rung : "law", "thin", "surfaces" or "mesh"
-    effects : sequence of str
-    faces : int
-        Refracting surfaces of the sheet.
-    mesh_bytes : int
-        Size of the file of triangles, if there is one.
+    faces : Refracting surfaces of the sheet.
+    mesh_bytes : Size of the file of triangles, if there is one.
     """
     plain = _in_numpy(rung, effects, rays, faces, mesh_bytes > 0)
     fixed = FIXED + (0.0 if plain else COMPILED)

@@ -12,12 +12,13 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from clacad.base.types import Floats, Ints
+from clacad.base.text import mrad_text
+from clacad.base.types import Floats, Ints, Pair2
 from clacad.light.measure import Light, Weights, measure, rms_angles
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
-from clacad.sheet.like_cell import like_cell
+from clacad.sheet.like_cell import heated, like_cell
 from clacad.sheet.representative_cells import SAMPLED, central_cell, representative_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
@@ -40,26 +41,39 @@ WORST = 8
 _SCREENED: WeakKeyDictionary[Window, dict[float, Ints]] = WeakKeyDictionary()
 """Worst cells of windows, by the field."""
 
+_ERRORS: WeakKeyDictionary[Window, dict[tuple[float, bytes], Floats]] = WeakKeyDictionary()
+"""Rms errors of tried cells of a window, by the field and the cells."""
+
 
 @dataclass(frozen=True, eq=False)
 class SeenCell:
     """One cell of a sheet: bundles are made for its uniform equivalent, and sent through the sheet itself.
 
-    Attributes
-    ----------
-    window : Window
-        The sheet.
-    like : Window
-        Uniform equivalent of the cell; the sheet itself where it is uniform.
+    window : The sheet.
+    like : Uniform equivalent of the cell; the sheet itself where it is uniform.
     cell : (2,) ints
-    tried : int
-        Cells of which this is the worst; 0 for a uniform sheet.
+    tried : Cells of which this is the worst; 0 for a uniform sheet.
+    others : (float, float) or None, radians
+        Least and largest rms error of light of the other tried cells, by few rays; None where none is known.
     """
 
     window: Window
     like: Window
     cell: Ints
     tried: int = 0
+    others: Pair2 | None = None
+
+    @property
+    def words(self) -> str:
+        """The cell and the spread over the others, in words; "" for a uniform sheet."""
+        if not self.tried:
+            return ""
+        i, j = self.cell.tolist()
+        found = f"cell ({i}, {j}), the worst of {self.tried} tried"
+        if self.others is not None:
+            low, high = mrad_text(self.others[0], unit=""), mrad_text(self.others[1])
+            found += f", in the others {low} to {high} rms from the law"
+        return found
 
     def __call__(self, lit: Bundle) -> TraceResult:
         """Send a bundle that was made for `like` through this cell of the sheet."""
@@ -68,15 +82,9 @@ class SeenCell:
     def heated(self, kelvin: float) -> SeenCell:
         """The cell at a temperature `kelvin` higher.
 
-        Raises
-        ------
-        ValueError
-            The change of an index with temperature is not known.
+        Raises ValueError: The change of an index with temperature is not known.
         """
-        whole, like = (
-            replace(one, bodies=tuple(body.heated(kelvin) for body in one.bodies))
-            for one in (self.window, self.like)
-        )
+        whole, like = (heated(one, kelvin) for one in (self.window, self.like))
         return replace(self, window=whole, like=whole if self.like is self.window else like)
 
     @property
@@ -95,7 +103,7 @@ class SeenCell:
         if self.like is self.window:
             return lit
         cell = (int(self.cell[0]), int(self.cell[1]))
-        return replace(lit, cell=cell, rays=Rays(self.moved(lit), lit.rays.direction))
+        return replace(lit, cell=cell, rays=Rays(self.moved(lit), lit.rays.direction, lit.rays.wavelength))
 
     def moved(self, lit: Bundle) -> Floats:
         """Starts (n, 3) of a bundle that was made for `like`, moved in front of this cell of the sheet."""
@@ -106,7 +114,7 @@ class SeenCell:
 def measure_light(
     window: Window, field: float, wavelengths: Weights = (), temperatures: Weights = (), rays: int = 16384
 ) -> Light:
-    """Measure the light of a sheet in several colours and at several temperatures.
+    """Measure how well light through a sheet obeys the law, in several colours and at several temperatures.
 
     Parameters
     ----------
@@ -130,6 +138,15 @@ def measure_light(
     ------
     ValueError
         A weight is not positive; or an index is not known at a wavelength, or its change with temperature.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> window = clacad.prescribe(design)
+    >>> light = clacad.measure_light(window, field=0.02, wavelengths=[486e-9, 656e-9], rays=256)
+    >>> len(light.lines)
+    2
     """
     cell = worst_cell(window, field)
     return measure(
@@ -175,7 +192,14 @@ def worst_of(tried: list[SeenCell], field: float) -> SeenCell:
     """The cell through which almost no light gets, else whose light leaves farthest (rms) from the law."""
     if len(tried) == 1:
         return tried[0]
-    return tried[int(np.argmax(_rms_errors(tried, field, TRIED_RAYS)))]
+    kept = _ERRORS.setdefault(tried[0].window, {})
+    key = (field, np.array([one.cell for one in tried]).tobytes())
+    if key not in kept:
+        kept[key] = _rms_errors(tried, field, TRIED_RAYS)
+    worst = int(np.argmax(kept[key]))
+    others = np.delete(kept[key], worst)
+    others = others[np.isfinite(others)]
+    return replace(tried[worst], others=(float(others.min()), float(others.max())) if len(others) else None)
 
 
 def _rms_errors(tried: list[SeenCell], field: float, count: int) -> Floats:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import hypot, inf, isfinite, tan
+from math import ceil, floor, hypot, inf, isfinite, log10, tan
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,9 +28,9 @@ from clacad.checks.design_kinds import (
 )
 from clacad.checks.light_kinds import FIELD, FRESNEL_NUMBER, ORDERS, RESIDUAL
 from clacad.design.sections import PAIR
+from clacad.sheet.cell_heights import highest_step
 from clacad.sheet.feasibility import BodyFacts, Feasibility, LensFacts, cell_feasibility, least_thickness
 from clacad.sheet.like_cell import like_cell
-from clacad.sheet.own_steps import highest_step
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import order_steps
 from clacad.sheet.window import Window
@@ -196,16 +196,12 @@ def _way_to_cover(design: Design, window: Window, lens: LensFacts) -> str:
 
 def _round_up(value: float) -> str:
     """Text of a value with three digits, rounded up."""
-    from math import ceil, floor, log10
-
     step = 10.0 ** (floor(log10(value)) - 2)
     return f"{ceil(value / step) * step:.3g}"
 
 
 def _round_down(value: float) -> str:
     """Text of a value with three digits, rounded down."""
-    from math import floor, log10
-
     step = 10.0 ** (floor(log10(value)) - 2)
     return f"{floor(value / step) * step:.3g}"
 

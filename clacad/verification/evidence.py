@@ -34,7 +34,7 @@ from clacad.verification.light.error_attribution import (
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.effects import Plan
+    from clacad.effects.engine.plan import Plan
     from clacad.judging.judge_files import FileReport
     from clacad.waves import WaveReport
 
@@ -55,10 +55,8 @@ class Fan:
     height : (k,) where the rays hit their lens
     place, slope : (k,)
         Position across at `along` = 0, and its derivative with respect to `along`; NaN where a ray is lost.
-    focus : (2,) along, across
-        Where parabasal rays cross; NaN without power.
-    caustic : (m, 2) along, across
-        Where neighbouring rays cross.
+    focus : (2,) along, across. Where parabasal rays cross; NaN without power.
+    caustic : (m, 2) along, across. Where neighbouring rays cross.
     """
 
     height: Floats
@@ -208,18 +206,10 @@ def _crossing(place: Floats, slope: Floats) -> Floats:
 class Evidence:
     """Measurements that are not judged.
 
-    Attributes
-    ----------
-    attributions : tuple of Attribution
-        One for each mesh file; without one, for the triangles of an STL.
-    foci : (MeridianFocus, MeridianFocus) or None
-        None where the axis ray is lost.
-    ghosts : GhostMap
-    ladder : Ladder
-    plan : Plan or None
-        None where the effects cannot be planned (a wavelength outside a material's data).
-    waves : WaveReport or None
-        Light along the middle of the field as a wave, where the effect `diffraction` or coherent light
+    attributions : One for each mesh file; without one, for the triangles of an STL.
+    foci : (MeridianFocus, MeridianFocus) or None. None where the axis ray is lost.
+    plan : None where the effects cannot be planned (a wavelength outside a material's data).
+    waves : Light along the middle of the field as a wave, where the effect `diffraction` or coherent light
         requires it and a grid that can be computed suffices.
     """
 
@@ -248,8 +238,6 @@ def gather_evidence(
     design: Design, window: Window, files: Sequence[FileReport], progress: Progress
 ) -> Evidence:
     """Measure what a page shows next to its checks; of the worst cell's equivalent if non-uniform."""
-    from clacad.effects import plan_effects
-
     if not window.uniform:
         window = worst_cell(window, design.check.field).buildable
     progress("telling the errors apart", 0.0)
@@ -264,6 +252,8 @@ def gather_evidence(
     ladder = climb(design, window, progress)
     progress("planning the effects", 0.0)
     try:
+        from clacad.effects.engine.plan import plan_effects
+
         plan = plan_effects(design)
     except ValueError:
         plan = None

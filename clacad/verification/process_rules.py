@@ -29,18 +29,7 @@ from clacad.checks.design_kinds import (
 from clacad.design.process_profiles import ProcessProfile, profile, profiles
 from clacad.optics.material.catalogue import find, names
 from clacad.optics.material.material import Material
-from clacad.sheet.feasibility import Feasibility
-from clacad.sheet.feasibility.convex_extremes import (
-    FINE,
-    Named,
-    draft,
-    groove,
-    narrowest,
-    shallowest,
-    steepest,
-    tallest,
-    wall,
-)
+from clacad.sheet.feasibility import Feasibility, convex_extremes
 from clacad.sheet.volume_and_extent import body_extent
 from clacad.sheet.window import Window
 
@@ -62,14 +51,10 @@ NEGLIGIBLE = 1e-7
 class Built:
     """A window under judgement by the design rules: what every function of them takes.
 
-    design : Design
-        Gives the limits and the process.
-    window : Window
-    facts : Feasibility
-        Derived numbers of this window.
-    solved : bool
-        Whether to compute a thickness, index or pitch that covers the cell of a lens that does not: about a
-        second.
+    design : Gives the limits and the process.
+    facts : Derived numbers of this window.
+    solved : Whether to compute a thickness, index or pitch that covers the cell of a lens that does not:
+        about a second.
     """
 
     design: Design
@@ -109,7 +94,7 @@ def _rules_of_shape(built: Built) -> Iterator[Check]:
     window, facts, unit = built.window, built.facts, built.design.unit
     tool, source = built.limit(TOOL)
     if tool > 0.0:
-        seen = groove(window, tool)
+        seen = convex_extremes.groove(window, tool)
         text = (
             f"a nose radius of {tool:.4g} {unit} leaves {percent_text(seen.value)} of a cell's width rounded"
             f" at {seen.what}"
@@ -118,12 +103,12 @@ def _rules_of_shape(built: Built) -> Iterator[Check]:
         yield _rule(TOOL, seen, (LOST, source), text, way_out)
     highest, source = built.limit(WALL)
     if highest < inf:
-        seen = wall(window, facts)
+        seen = convex_extremes.wall(window, facts)
         text = f"{seen.what} is {seen.value:.4g} {unit} high"
         yield _rule(WALL, seen, (highest, source), text, "less tilt, aligned meridians, or a seam", unit)
     least, source = built.limit(DRAFT)
     if least > 0.0:
-        seen = draft(window, facts, NEGLIGIBLE / built.design.unit_m)
+        seen = convex_extremes.draft(window, facts, NEGLIGIBLE / built.design.unit_m)
         text = (
             f"{seen.what} is at {degrees(seen.value):.3g} deg to the sheet's normal, {degrees(least):.3g}"
             " are needed"
@@ -131,7 +116,7 @@ def _rules_of_shape(built: Built) -> Iterator[Check]:
         yield _rule(DRAFT, seen, (least, source), text, "a seam with room for sloping walls, or less tilt")
     most, source = built.limit(SLOPE)
     if most < 0.5 * pi:
-        seen = steepest(facts)
+        seen = convex_extremes.steepest(facts)
         text = f"{seen.what} is up to {degrees(seen.value):.3g} deg steep, {degrees(most):.3g} can be made"
         yield _rule(SLOPE, seen, (most, source), text, "larger radii, a smaller pitch or less tilt")
 
@@ -141,21 +126,21 @@ def _rules_of_fineness(built: Built) -> Iterator[Check]:
     window, facts, unit = built.window, built.facts, built.design.unit
     voxel, source = built.limit(VOXEL)
     if voxel > 0.0:
-        seen = narrowest(window)
+        seen = convex_extremes.narrowest(window)
         text = f"{seen.what} is {seen.value:.4g} {unit}, a voxel {voxel:.4g}"
         yield _rule(VOXEL, seen, (voxel, source), text, "a larger pitch or wider seams and walls", unit)
     layer, source = built.limit(LAYER)
     if layer > 0.0:
-        seen = shallowest(facts)
+        seen = convex_extremes.shallowest(facts)
         text = (
             f"{seen.what} is {seen.value:.4g} {unit}, a layer {layer:.4g}: it takes"
-            f" {FINE * seen.value / layer:.3g} layers, {FINE} are the least"
+            f" {convex_extremes.FINE * seen.value / layer:.3g} layers, {convex_extremes.FINE} are the least"
         )
         way_out = "smaller radii or a larger pitch: steeper lenses have more layers"
         yield _rule(LAYER, seen, (layer, source), text, way_out, unit)
     ratio, source = built.limit(ASPECT)
     if ratio < inf:
-        seen = tallest(window, facts)
+        seen = convex_extremes.tallest(window, facts)
         text = f"{seen.what} is {seen.value:.4g}"
         yield _rule(ASPECT, seen, (ratio, source), text, "wider walls and seams, or shallower ones")
 
@@ -163,13 +148,13 @@ def _rules_of_fineness(built: Built) -> Iterator[Check]:
 def _undercut(built: Built) -> Check:
     lens = min(built.facts.lenses, key=lambda lens: lens.least_normal_z)
     text = f"the normals of {lens.name} lean to a z component of {lens.least_normal_z:.3g}"
-    seen, limit = Named(lens.least_normal_z, lens.name), (0.0, from_profile(built.rules))
+    seen, limit = convex_extremes.Named(lens.least_normal_z, lens.name), (0.0, from_profile(built.rules))
     return _rule(UNDERCUT, seen, limit, text, "less tilt or larger radii: what overhangs cannot be reached")
 
 
 def _rule(
     kind: CheckKind,
-    seen: Named,
+    seen: convex_extremes.Named,
     limit: tuple[float, LimitSource],
     sentence: str,
     way_out: str,
@@ -177,7 +162,6 @@ def _rule(
 ) -> Check:
     """Warn where a value violates its limit, with a remedy.
 
-    limit : limit and its source
     unit : of a length; other units are declared with the kind
     """
     most, source = limit

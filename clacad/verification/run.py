@@ -13,8 +13,9 @@ from math import ceil, log2
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from clacad.base.interactive import shown_progress
 from clacad.base.text import mrad_text
-from clacad.base.types import Progress, silent
+from clacad.base.types import Progress
 from clacad.checks.check import Check, accepted
 from clacad.checks.file_kinds import FAITHFUL_RMS, FILE_TARGET
 from clacad.prescription.prescribe import prescribe
@@ -30,6 +31,7 @@ from clacad.verification.verification_report import Report
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.judging.delivery import Delivery, Subject
+    from clacad.measuring.measure import Maps
 
 
 def verify(
@@ -40,7 +42,10 @@ def verify(
     progress: Progress | None = None,
     role: str | Mapping[str, str] | None = None,
 ) -> Report:
-    """Verify a design, and the files that were made from it.
+    """Judge a design, and files made from it: does light through them obey the requested law?
+
+    Rays are traced through the exact surfaces and through the surfaces of each file; every check compares a
+    measured number with its limit.
 
     Parameters
     ----------
@@ -66,32 +71,40 @@ def verify(
     FileNotFoundError, CannotRegister, UnknownRole
         `files` contains no file to judge; unit or cells cannot be determined; a role is unknown, or of no
         file.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> clacad.verify(design, rays=4096)
+    slab
+      pass  28 checks
+    passed: 28 checks
     """
     delivery = None
     if files is not None:
         from clacad.judging.delivery import declared_roles, list_files
 
         delivery = list_files(Path(files), declared_roles(role))
-    *_, found = verified(design, delivery, cells, rays, progress or silent)
+    *_, found = verified(design, delivery, cells, rays, shown_progress(progress))
     return found
 
 
 def verified(
-    design: Design, delivery: Delivery | None, cells: tuple[int, int] | None, rays: int, progress: Progress
+    design: Design,
+    delivery: Delivery | None,
+    cells: tuple[int, int] | None,
+    rays: int,
+    progress: Progress,
+    maps: Maps | None = None,
 ) -> Iterator[Report]:
     """Yield the report of the design alone as soon as it is ready; then, if there are files, that with the
     files.
 
-    Parameters
-    ----------
-    design, cells, rays, progress
-        As in `verify`.
-    delivery : Delivery or None
-        From `list_files`.
-
-    Raises
-    ------
-    DesignError, CannotRegister
+    design, cells, rays, progress : As in `verify`.
+    delivery : From `list_files`.
+    maps : Height maps of a measured part.
+    Raises DesignError, CannotRegister, NotMeasurable.
     """
     if delivery is not None:
         from clacad.judging.delivery import with_copied_table, written_meanwhile
@@ -102,6 +115,10 @@ def verified(
     if delivery is not None:
         found = _with_files(found, delivery, cells, rays, progress)
         found = replace(found, checks=(*found.checks, *written_meanwhile(delivery)))
+        yield replace(found, checks=accepted(found.checks, design))
+    if maps is not None:
+        part = maps.measured(design, progress)
+        found = replace(found, checks=(*found.checks, *part.checks), measured=part, delivered=True)
         yield replace(found, checks=accepted(found.checks, design))
     progress("done", 1.0)
 
@@ -126,7 +143,7 @@ def _with_files(
     from clacad.judging.judge_files import judge_files
     from clacad.verification.light.facet_convergence import judge_convergence
 
-    checks, judged = judge_files(report.design, delivery, cells, rays, progress)
+    checks, judged = judge_files(report.design, report.window, delivery, cells, rays, progress)
     convergence = None
     if any(f.subject.is_mesh for f in judged):
         convergence, check = judge_convergence(report.design, report.window, progress)
@@ -171,14 +188,9 @@ MOST_LIT = 500_000
 def seconds(rays: int, files: Sequence[Subject], report: bool = False) -> float:
     """Processor seconds of verifying a design with `rays` rays, and some files.
 
-    Parameters
-    ----------
-    rays : int
-    files : sequence of Subject
-        Meshes cost their triangles, and one convergence study together; those without a manifest entry also
-        cost registration; solids cost their text.
-    report : bool
-        Whether a report is written.
+    files : Meshes cost their triangles, and one convergence study together; those without a manifest entry
+        also cost registration; solids cost their text.
+    report : Whether a report is written.
     """
     meshes = [subject for subject in files if subject.is_mesh]
     solids = [subject for subject in files if subject.is_solid]
@@ -229,11 +241,8 @@ SURE = 10.0
 def rays_for(target: float, spread: float) -> int:
     """Fewest rays, a power of two, whose mean has a standard error of a tenth of a target.
 
-    Parameters
-    ----------
-    target : float, radians
-        Rms direction error that matters.
-    spread : float, radians
+    target : radians. Rms direction error that matters.
+    spread : radians
         Rms error of a single ray; the mean of n has a standard error of spread/√n (less with Sobol points).
     """
     needed = (SURE * spread / target) ** 2

@@ -16,7 +16,9 @@ from clacad.checks.check import RAYS_NEEDED, Check, wrong
 from clacad.checks.file_kinds import DELIVERY, FAITHFUL_RMS, FILE_LAW_ETA, FILE_LAW_RMS, THROUGH_FILE
 from clacad.exporting.roles import Role
 
-Word = Literal["passed", "passed as optical master", "passed as scan", "shape only", "failed", "not judged"]
+Word = Literal[
+    "passed", "passed as optical master", "passed as scan", "shape only", "failed", "not judged", "cannot say"
+]
 """Verdicts; the first is for a design without files."""
 
 GOOD: tuple[Word, ...] = ("passed", "passed as optical master", "passed as scan")
@@ -26,19 +28,12 @@ GOOD: tuple[Word, ...] = ("passed", "passed as optical master", "passed as scan"
 class FileVerdict:
     """Verdict on one file.
 
-    Parameters
-    ----------
-    name : str
-    role : Role
-        Role under which it was judged.
-    declared : bool
-        Whether the role was declared by a person.
-    word : Word
-        "not judged" for a file without optics, or where fewer rays were requested than a verdict needs.
+    role : Role under which it was judged.
+    declared : Whether the role was declared by a person.
+    word : "not judged" for a file without optics, or where fewer rays were requested than a verdict needs.
     rms, limit : float or None, radians
         Direction error to the law of light through the file, and its limit; None where no light was traced.
-    sentence : str
-        Description of the file, or the reason why it failed.
+    sentence : Description of the file, or the reason why it failed.
     """
 
     name: str
@@ -49,21 +44,23 @@ class FileVerdict:
     limit: float | None
     sentence: str
 
+    def row(self) -> tuple[str, str, str, str]:
+        """Name, role, verdict, and the error of light through the file, of its limit ("" if not measured)."""
+        light = ""
+        if self.rms is not None and self.limit is not None:
+            light = f"{mrad_text(self.rms, 3, unit='')} of {mrad_text(self.limit, 3)} rms"
+        return self.name, self.role.value, self.word, light
+
 
 def file_verdict(
     name: str, role: Role, declared: bool, mesh: bool, checks: Sequence[Check], cut: str
 ) -> FileVerdict:
     """Derive the verdict on one file from its checks.
 
-    Parameters
-    ----------
     name, role, declared
-    mesh : bool
-        Whether it holds triangles: only those can be faithful and too coarse.
-    checks : sequence of Check
-        Checks of this file alone.
-    cut : str
-        Fineness of a mesh ("in 4 quads a cell"), "" where unknown.
+    mesh : Whether it holds triangles: only those can be faithful and too coarse.
+    checks : Checks of this file alone.
+    cut : Fineness of a mesh ("in 4 quads a cell"), "" where unknown.
     """
     rms = FILE_LAW_RMS.first(checks)
     # for a scan the check judges the error without noise; the total error of the light includes it
@@ -132,11 +129,7 @@ def _worst_eta(eta: Check) -> str:
 def word_of(judged: Sequence[FileVerdict], checks: Sequence[Check]) -> Word:
     """Word for a whole delivery: that of its worst master; previews count only where nobody declared them.
 
-    Parameters
-    ----------
-    judged : sequence of FileVerdict
-    checks : sequence of Check
-        All checks of the report, including those of no file.
+    checks : All checks of the report, including those of no file.
     """
     names = {one.name for one in judged}
     if wrong(c for c in checks if c.subject not in names and c.kind is not DELIVERY):
@@ -146,6 +139,8 @@ def word_of(judged: Sequence[FileVerdict], checks: Sequence[Check]) -> Word:
         return "failed"
     if wrong(c for c in checks if c.kind is DELIVERY):
         return "not judged"
+    if "cannot say" in words:
+        return "cannot say"
     optical = [one for one in judged if one.role is not Role.OTHER]
     if any(one.word == "not judged" for one in optical):
         return "not judged"

@@ -9,10 +9,11 @@ from functools import cached_property
 from math import degrees
 from typing import TYPE_CHECKING, Any
 
-from clacad.base.text import plain
-from clacad.base.types import Progress, silent
+from clacad.base.interactive import Tabular, shown_progress
+from clacad.base.text import plain, table
+from clacad.base.types import Progress
 from clacad.checks import check as judging
-from clacad.checks.check import RAYS_NEEDED, Check, wrong
+from clacad.checks.check import RAYS_NEEDED, Check, check_columns, short_table, wrong
 from clacad.checks.file_kinds import CONVERGENCE, DELIVERY
 from clacad.exporting.roles import Role
 from clacad.light.measure import Light
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
     from clacad.design import Design
     from clacad.judging.judge_files import FileReport
+    from clacad.measuring.measured import Measured
     from clacad.verification.evidence import Evidence
     from clacad.verification.light.facet_convergence import Convergence
 
@@ -36,7 +38,7 @@ NAMED = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Report:
+class Report(Tabular):
     """Result of a verification.
 
     Attributes
@@ -57,6 +59,8 @@ class Report:
         Contents of the page in addition to its checks; None until `with_evidence`.
     delivered : bool
         Whether files were delivered for judgement; a delivery without any file does not pass.
+    measured : Measured or None
+        The part by its height maps.
     """
 
     design: Design
@@ -70,9 +74,17 @@ class Report:
     versions: Mapping[str, str] = field(default_factory=dict)
     evidence: Evidence | None = None
     delivered: bool = False
+    measured: Measured | None = None
 
     def __repr__(self) -> str:
-        return f"Report({self.design.name!r}, {self.verdict()})"
+        """Short table: checks that did not pass, files, and the verdict last."""
+        files = table([one.row() for one in self.verdicts])
+        parts = (self.design.name, short_table(self.checks), files, self.verdict())
+        return "\n".join(part for part in parts if part)
+
+    def to_columns(self) -> dict[str, Any]:
+        """One row for each check."""
+        return check_columns(self.checks)
 
     def _repr_html_(self) -> str:
         from clacad import as_html  # through the top-level package: the renderer's room lies below this one
@@ -92,13 +104,14 @@ class Report:
             return self
         from clacad.verification.evidence import gather_evidence
 
-        evidence = gather_evidence(self.design, self.window, self.files, progress or silent)
+        evidence = gather_evidence(self.design, self.window, self.files, shown_progress(progress))
         return replace(self, evidence=evidence)
 
     @cached_property
     def verdicts(self) -> tuple[FileVerdict, ...]:
         """Verdict on each file, in the order of judgement."""
-        return tuple(_verdict_of(one, self.checks) for one in self.files)
+        part = () if self.measured is None else (_measured_verdict(self.measured),)
+        return (*(_verdict_of(one, self.checks) for one in self.files), *part)
 
     @cached_property
     def word(self) -> Word:
@@ -139,7 +152,7 @@ class Report:
             f", {counts['warn']} with a warning" if counts["warn"] else ""
         )
         if self.word == "failed":
-            return self._failed()
+            return _failed(self.checks)
         told = [one for one in self.verdicts if one.word == self.word and one.role is not Role.OTHER]
         if self.word == "shape only":
             return f"shape only: {told[0].name} {told[0].sentence}{self._remedy(told[0])}"
@@ -148,21 +161,13 @@ class Report:
             return "not judged: " + (
                 lacking[0].sentence if lacking else "none of the files carries light of the law"
             )
+        if self.word == "cannot say":
+            return f"cannot say: {told[0].sentence}"
         if self.word == "passed":
             return f"passed: {checks}"
         shapes = [one.name for one in self.verdicts if one.word == "shape only"]
         rest = f"; shape only, as declared: {_listed(shapes)}" if shapes else ""
         return f"{self.word}: {_listed([one.name for one in told])} ({checks}){rest}"
-
-    def _failed(self) -> str:
-        failed = [c for c in self.checks if c.state == "fail"]
-        missing = [c for c in self.checks if c.state == "not run" and c.required]
-        parts = []
-        if failed:
-            parts.append("failed: " + ", ".join(dict.fromkeys(c.id for c in failed)))
-        if missing:
-            parts.append("did not run: " + ", ".join(dict.fromkeys(c.id for c in missing)))
-        return "; ".join(parts)
 
     def _remedy(self, one: FileVerdict) -> str:
         """Text of the change that gives a master: a number of quads, or the STEP."""
@@ -201,6 +206,7 @@ class Report:
             "notes": list(self.design.notes),
             "versions": dict(self.versions),
             **({} if self.evidence is None else self.evidence.to_dict()),
+            **({} if self.measured is None else {"measured": self.measured.to_dict()}),
         }
 
     def to_json(self) -> str:
@@ -215,14 +221,24 @@ def of_worst_cell(report: Report) -> tuple[Report, str]:
     if report.window.uniform:
         return report, ""
     seen = worst_cell(report.window, report.design.check.field)
-    i, j = seen.cell.tolist()
     words = (
-        "Every cell of this sheet differs. Numbers and drawings are those of the uniform equivalent of cell"
-        f" ({i}, {j}), by which the sheet is judged; the count of cells, outer sizes, volumes, plan, side"
+        "Every cell of this sheet differs. Numbers and drawings are those of the uniform equivalent of"
+        f" {seen.words}; the count of cells, outer sizes, volumes, plan, side"
         " view and the viewer's share are of the whole sheet"
     )
     facts = feasibility(seen.buildable, *report.design.viewing_places).with_steps_of(report.facts)
     return replace(report, window=seen.buildable, facts=facts), words
+
+
+def _failed(checks: Sequence[Check]) -> str:
+    """Text of the checks that failed, and of those that were required and did not run."""
+    states = (
+        ("failed: ", [c for c in checks if c.state == "fail"]),
+        ("did not run: ", [c for c in checks if c.state == "not run" and c.required]),
+    )
+    return "; ".join(
+        words + ", ".join(dict.fromkeys(c.id for c in found)) for words, found in states if found
+    )
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -237,6 +253,14 @@ def _verdict_of(one: FileReport, checks: Sequence[Check]) -> FileVerdict:
     quads = subject.entry.get("quads")
     cut = f"in {quads} quads a cell" if isinstance(quads, int) and subject.is_mesh else ""
     return file_verdict(subject.name, one.judged_as, subject.declared, subject.is_mesh, mine, cut)
+
+
+def _measured_verdict(found: Measured) -> FileVerdict:
+    """Verdict on a part by its maps."""
+    words: dict[str, Word] = {"pass": "passed as scan", "fail": "failed", "cannot say": "cannot say"}
+    word, limit = words[found.verdict], found.design.check.law_rms
+    sentence = found.summary.partition(": ")[2]
+    return FileVerdict(found.subject, Role.SCAN, True, word, found.light.rms, limit, sentence)
 
 
 def _verdict_row(one: FileVerdict) -> dict[str, Any]:

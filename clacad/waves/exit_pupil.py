@@ -56,16 +56,11 @@ SECONDS = 4.2e-6
 class Pupil:
     """A cell's light on the plane across the law's direction: one row per launched ray, side × side rays.
 
-    place : (n, 2) lengths
-        Along lens x and y, from the mean point.
+    place : (n, 2) lengths. Along lens x and y, from the mean point.
     phase : (n,) radians
-    off : (n, 2)
-        Direction cosines off the law.
-    alive : (n,) bool
-        From the optical zone of lens 1 through the partner.
-    side : int
-    step : (2,) lengths
-        Step of the grid on lens 1.
+    off : (n, 2). Direction cosines off the law.
+    alive : (n,) bool. From the optical zone of lens 1 through the partner.
+    step : (2,) lengths. Step of the grid on lens 1.
     """
 
     place: Floats
@@ -126,21 +121,12 @@ class RaySpread:
 def pupil(window: Window, direction: Floats, wavelength: float, side: int, cell: Ints | None = None) -> Pupil:
     """Trace a plane wave through one telescopelet.
 
-    Parameters
-    ----------
-    window : Window
-    direction : (3,) unit
-        Of the incident light.
-    wavelength : float, metres
-    side : int
-        Rays along each side of the box around the cell.
-    cell : (2,) ints or None
-        The lit cell of a non-uniform sheet; None: all cells are identical.
-
-    Raises
-    ------
-    ValueError
-        The law has no exit direction for this light, or a wavelength lies outside a material's data.
+    direction : (3,) unit. Of the incident light.
+    wavelength : metres
+    side : Rays along each side of the box around the cell.
+    cell : (2,) ints or None. The lit cell of a non-uniform sheet; None: all cells are identical.
+    Raises ValueError: The law has no exit direction for this light, or a wavelength lies outside a material's
+        data.
     """
     sheet, lit = _lit_cell(window, cell)
     asked = sheet.law_at(np.array(lit)).refract(direction[None, :])[0]
@@ -237,12 +223,8 @@ def _at_wavelength(window: Window, rays: Rays, wavelength: float) -> Rays:
 def rays_needed(window: Window, direction: Floats, wavelength: float, cell: Ints | None = None) -> int:
     """Number of rays along a side for phase steps of at most a quarter turn, a power of two.
 
-    Raises
-    ------
-    LimitRefused
-        More than `MOST`.
-    ValueError
-        As `pupil`.
+    Raises LimitRefused: More than `MOST`.
+    Raises ValueError: As `pupil`.
     """
     step = pupil(window, direction, wavelength, TRIAL, cell).largest_step
     least = 1 << max(0, ceil(log2(max(1.0, TRIAL * step / STEP))))
@@ -258,11 +240,8 @@ def rays_needed(window: Window, direction: Floats, wavelength: float, cell: Ints
 def far_field(found: Pupil, wavelength: float) -> FarField:
     """Far field of a pupil.
 
-    Parameters
-    ----------
-    found : Pupil
-        With at least some light that obeys the law.
-    wavelength : float, length
+    found : With at least some light that obeys the law.
+    wavelength : length
     """
     weight = np.sqrt(_spread(found))[found.alive]
     place = found.place[found.alive]
@@ -275,6 +254,27 @@ def far_field(found: Pupil, wavelength: float) -> FarField:
     x, y = (marginal(field, k, float(spacing[k]), wavelength, float(wide[k])) for k in (0, 1))
     a, b = (section(field, k, turns, float(spacing[k]), wavelength, float(wide[k])) for k in (0, 1))
     return FarField("pupil", (x, y), (a, b), min(light / flat, 1.0), (found.side, found.side))  # rounding
+
+
+def order_efficiency(
+    found: Pupil, window: Window, direction: Floats, wavelength: float, order: Floats | None = None
+) -> float:
+    """Part of coherent light along the normal that identical cells send into one diffraction order.
+
+    Light that leaves through other cells is lost to it.
+
+    direction : (3,) unit. Of the law of `window`, to which the phases of the pupil are relative.
+    wavelength : length
+    order : (2,). Direction cosines of the order, sheet axes; None: an order at the peak of the far field.
+    """
+    weight = np.sqrt(_spread(found))[found.alive]
+    whole = (window.lattice.cell_area / float(found.step.prod())) ** 2 * direction[2]
+    if order is None:
+        return float(far_field(found, wavelength).strehl * weight.sum() ** 2 / whole)
+    out = np.array([*order, np.sqrt(max(0.0, 1.0 - float(order @ order)))])
+    turns = found.place[found.alive] @ (_axes_across(window, direction) @ out) / wavelength
+    there = (weight * np.exp(1j * (found.phase[found.alive] - 2.0 * pi * turns))).sum()
+    return float(abs(there) ** 2 / whole)
 
 
 def _spread(found: Pupil) -> Floats:

@@ -21,10 +21,8 @@ FINE = 16
 class Marginal:
     """Light against the angle off the law along a lens axis: summed over the other, or cut through the peak.
 
-    off : (k,) radians
-        Direction cosine less that of the law, evenly spaced, ascending.
-    density : (k,) 1/radian
-        Its integral is 1.
+    off : (k,) radians. Direction cosine less that of the law, evenly spaced, ascending.
+    density : (k,) 1/radian. Its integral is 1.
     """
 
     off: Floats
@@ -73,15 +71,11 @@ class FarField:
     """Far field of one telescopelet in one direction.
 
     way : "pupil" or "angular spectrum"
-    marginals : (Marginal, Marginal)
-        Along lens x and lens y, summed over the other axis.
-    sections : (Marginal, Marginal)
-        Along lens x and lens y through the brightest direction. Equal to `marginals` for a cell with sides
-        along the lens axes.
-    strehl : float
-        Peak over that of the light through the partner with a flat wave front: at most 1.
-    points : tuple of int
-        Number of rays along a side, or of points along each axis.
+    marginals : (Marginal, Marginal). Along lens x and lens y, summed over the other axis.
+    sections : (Marginal, Marginal). Along lens x and lens y through the brightest direction. Equal to
+        `marginals` for a cell with sides along the lens axes.
+    strehl : Peak over that of the light through the partner with a flat wave front: at most 1.
+    points : Number of rays along a side, or of points along each axis.
     """
 
     way: str
@@ -106,12 +100,8 @@ class FarField:
 def marginal(field: Complex, axis: int, spacing: float, wavelength: float, width: float) -> Marginal:
     """Far field along one axis of an amplitude on a regular grid, summed over the other axis.
 
-    Parameters
-    ----------
-    field : (n,) or (n, n) complex
-        Relative to a flat wave front across the law's direction.
-    axis : int
-    spacing, wavelength, width : float, lengths
+    field : (n,) or (n, n) complex. Relative to a flat wave front across the law's direction.
+    spacing, wavelength, width : lengths
         Of the grid; of the light; of the lit area, which determines the resolution.
 
     Notes

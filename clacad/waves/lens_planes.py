@@ -40,13 +40,10 @@ Wider grids change the share by 1e-4 and the width of the far field by a thousan
 class LensPlane:
     """A thin lens with a rim.
 
-    distance : float, length
-        From the plane before it.
+    distance : length. From the plane before it.
     power : (dims,) 1/length
-    vertex : (dims,) lengths
-        Lens centre relative to the axis through the centre of the first lens.
-    stop : (m, dims) lengths
-        Corners of the convex rim relative to that axis; the two ends in one dimension.
+    vertex : (dims,) lengths. Lens centre relative to the axis through the centre of the first lens.
+    stop : (m, dims) lengths. Corners of the convex rim relative to that axis; the two ends in one dimension.
     """
 
     distance: float
@@ -61,11 +58,9 @@ class Emerging:
 
     field : complex array of `dims` dimensions
         Relative to the wave of the chief ray, at the points inside the last rim of a grid of `spacing`.
-    spacing : float, length
-    share : float
-        Share of the light through the first rim.
-    points : (dims,) int
-        Number of points of the whole grid.
+    spacing : length
+    share : Share of the light through the first rim.
+    points : (dims,) int. Number of points of the whole grid.
     """
 
     field: Complex
@@ -86,23 +81,14 @@ def telescope(
 ) -> list[LensPlane]:
     """The planes of a confocal pair, along one axis or two.
 
-    Parameters
-    ----------
     focal : (f1, f2), (dims,) lengths each
     centre, vertex : (dims,) lengths
         Middle of the partner cell, and centre of lens 2, from the axis of lens 1.
-    separation : float, length
-    zone : (m, dims) lengths
-        Rim of lens 1, and of a field lens, relative to the middle of its own cell.
-    rim : (m, dims) lengths or None
-        Of lens 2; None: as `zone`.
-    field_lens : bool
-        Add one: 1/f = 1/f1 + 1/f2 at the common focus, its cells on the lines from cell to partner.
-
-    Raises
-    ------
-    ValueError
-        A field lens where the focus is virtual or not common, or where an axis has no power.
+    separation : length
+    zone : (m, dims) lengths. Rim of lens 1, and of a field lens, relative to the middle of its own cell.
+    rim : (m, dims) lengths or None. Of lens 2; None: as `zone`.
+    field_lens : Add one: 1/f = 1/f1 + 1/f2 at the common focus, its cells on the lines from cell to partner.
+    Raises ValueError: A field lens where the focus is virtual or not common, or where an axis has no power.
     """
     power = [tuple(0.0 if not isfinite(f) else 1.0 / f for f in one) for one in focal]
     first = LensPlane(0.0, power[0], (0.0,) * len(centre), zone)
@@ -160,16 +146,9 @@ class Grid:
 def grid_for(planes: Sequence[LensPlane], slope: Sequence[float], wavelength: float) -> Grid:
     """The coarsest grid on which the phase changes by at most a quarter turn between neighbours.
 
-    Parameters
-    ----------
-    planes : sequence of LensPlane
     slope : (dims,)
-    wavelength : float, length
-
-    Raises
-    ------
-    LimitRefused
-        More points than the limit `MOST` allows; the message gives the number needed.
+    wavelength : length
+    Raises LimitRefused: More points than the limit `MOST` allows; the message gives the number needed.
     """
     dims, reach, finest = len(slope), 0.0, inf
     met, _ = chief_ray(planes, slope)
@@ -218,19 +197,11 @@ def propagate(
 ) -> Emerging:
     """Send a plane wave through lenses with rims.
 
-    Parameters
-    ----------
-    planes : sequence of LensPlane
-        All in one dimension, or all in two.
-    slope : (dims,)
-        Of the incident wave.
-    wavelength : float, length
-    grid : Grid or None
-        None: the coarsest sufficient grid.
-
-    Raises
-    ------
-    LimitRefused
+    planes : All in one dimension, or all in two.
+    slope : (dims,). Of the incident wave.
+    wavelength : length
+    grid : None: the coarsest sufficient grid.
+    Raises LimitRefused.
     """
     grid = grid_for(planes, slope, wavelength) if grid is None else grid
     met, _ = chief_ray(planes, slope)

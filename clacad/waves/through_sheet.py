@@ -22,6 +22,7 @@ import numpy as np
 from clacad.base.polygons import clip, polygon_area
 from clacad.base.text import mrad_text
 from clacad.base.types import Floats, Ints, Pair2
+from clacad.base.vectors import xy
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.bundle import asked_power
 from clacad.sheet.vignetting import (
@@ -57,12 +58,10 @@ ALONG = 1e-9
 class LitSheet:
     """A window lit from one direction; its numbers are computed on demand.
 
-    seen : SeenCell
-        The cell, in its sheet.
+    seen : The cell, in its sheet.
     direction : (3,) unit, sheet frame
-    wavelength : float, metres
-    field_lens : bool
-        Whether a lens at the common focus images lens 1 onto lens 2, built or imagined.
+    wavelength : metres
+    field_lens : Whether a lens at the common focus images lens 1 onto lens 2, built or imagined.
     """
 
     seen: SeenCell
@@ -199,21 +198,11 @@ def situation(
 ) -> LitSheet:
     """A cell of a design's window lit from one direction; invalid requests are refused.
 
-    Parameters
-    ----------
-    design : Design
-    field : (x, y), radians
-        Angles off the middle of the cell's field along the sheet's x and y.
-    wavelength : float or None, metres
-        None: the design's.
-    field_lens : bool
-        As if a lens were mounted at the common focus.
-
-    Raises
-    ------
-    BadRequest
-        An invalid wavelength or angle, or a direction for which no light obeys the law.
-    LimitRefused, DesignError, NoSuchLens
+    field : (x, y), radians. Angles off the middle of the cell's field along the sheet's x and y.
+    wavelength : float or None, metres. None: the design's.
+    field_lens : As if a lens were mounted at the common focus.
+    Raises BadRequest: An invalid wavelength or angle, or a direction for which no light obeys the law.
+    Raises LimitRefused, DesignError, NoSuchLens.
     """
     from clacad.exporting.limits import refuse_uncountable
     from clacad.prescription.prescribe import prescribe
@@ -264,7 +253,8 @@ SECONDS_A_POINT = 0.25e-6
 def wave(
     design: Design, field: Pair2 = (0.0, 0.0), wavelength: float | None = None, *, field_lens: bool = False
 ) -> WaveReport:
-    """Wave through one telescopelet of a design: far field, Strehl ratio, share, compared with rays.
+    """Send light as a wave through one telescopelet of a design: far field, Strehl ratio and share, next
+    to those of rays.
 
     Parameters
     ----------
@@ -290,6 +280,13 @@ def wave(
         The valid method needs a larger grid than is computed; the message names the method.
     DesignError, NoSuchLens
         The design cannot be built.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> clacad.wave(design)
+    WaveReport('slab', pupil, Fresnel number 22.7, share 0.933)
     """
     return look(situation(design, field, wavelength, field_lens=field_lens), design.name)
 
@@ -305,10 +302,7 @@ def look(lit: LitSheet, name: str) -> WaveReport:
 def _columns(lit: LitSheet) -> float:
     """Number of cells that the light passes over inside a body.
 
-    Raises
-    ------
-    LimitRefused
-        More than `MOST_COLUMNS`.
+    Raises LimitRefused: More than `MOST_COLUMNS`.
     """
     crossed = exit_pupil.columns_crossed(lit.seen.window, lit.direction)
     if crossed > MOST_COLUMNS:
@@ -346,7 +340,7 @@ def _look(lit: LitSheet, name: str) -> WaveReport:
         lit.wavelength,
         lit.slope,
         lit.fresnel,
-        _pair(slit),
+        xy(slit),
         order_steps(lit.window.lattice, lit.wave),
         lit.field_lens,
         exact,
@@ -363,11 +357,8 @@ def _look(lit: LitSheet, name: str) -> WaveReport:
 def outlook(lit: LitSheet) -> dict[str, float]:
     """Forecast of `look`: rays and points along a side, processor seconds, bytes.
 
-    Raises
-    ------
-    LimitRefused
-        As `wave`.
-    BadRequest
+    Raises LimitRefused: As `wave`.
+    Raises BadRequest.
     """
     try:
         side = exit_pupil.FEWEST
@@ -416,7 +407,3 @@ def _thin(lit: LitSheet) -> tuple[FarField, float]:
     a, b = (marginal(both.field, k, step, lit.wave, float(widths[k])) for k in (0, 1))
     c, d = (section(both.field, k, turns, step, lit.wave, float(widths[k])) for k in (0, 1))
     return FarField("angular spectrum", (a, b), (c, d), flatness(both.field), both.points), both.share
-
-
-def _pair(values: Floats) -> Pair2:
-    return float(values[0]), float(values[1])

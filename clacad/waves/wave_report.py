@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from clacad.base.drawn_figure import drawn, no_formula
+from clacad.base.drawn_figure import drawn, inline_svg, no_formula
+from clacad.base.interactive import Tabular, columns_of
 from clacad.base.text import digits, mrad_list, nm_text
 from clacad.base.types import Floats, Pair2
 from clacad.waves.exit_pupil import RaySpread
@@ -33,7 +34,7 @@ BINS = 60
 
 
 @dataclass(frozen=True, eq=False)
-class WaveReport:
+class WaveReport(Tabular):
     """Light of one direction through one telescopelet, as waves and as rays.
 
     design : str
@@ -96,6 +97,35 @@ class WaveReport:
     def picture(self, format: Literal["png", "svg"] = "png") -> bytes:
         """Far field along both lens axes, waves over rays, as the bytes of a picture."""
         return drawn(format, SIZE, lambda figure: draw(figure, self), STYLE)
+
+    def __repr__(self) -> str:
+        way, number = self.far_field.way, min(self.fresnel)
+        return f"WaveReport({self.design!r}, {way}, Fresnel number {number:.3g}, share {self.share:.3g})"
+
+    def to_columns(self) -> dict[str, Any]:
+        """One row for each method and lens axis: share, Strehl ratio, angles in radians."""
+        ways = (("exact", self.exact, self.share), ("thin", self.thin, self.thin_share))
+        rows: list[dict[str, Any]] = [
+            {
+                "method": f"waves, {name}",
+                "lens": axis,
+                "share": share,
+                "strehl": far.strehl,
+                "middle_off_law": one.middle,
+                "fwhm": one.width,
+                "half_energy": one.half_energy,
+            }
+            for name, far, share in ways
+            if far is not None
+            for axis, one in zip("xy", far.marginals, strict=True)
+        ]
+        for axis, off, half in zip("xy", self.rays.mean, self.rays.half_energy, strict=True):
+            rows.append({"method": "rays, exact", "lens": axis, "share": self.rays.share})
+            rows[-1] |= {"middle_off_law": off, "half_energy": half}
+        return columns_of(rows)
+
+    def _picture(self) -> str:
+        return inline_svg(self.picture("svg").decode())
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON: radians and metres."""

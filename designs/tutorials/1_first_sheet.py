@@ -31,7 +31,7 @@ print(window, "front face:", lens)
 clacad.plot(window)
 
 # %% [markdown]
-# Any key may be changed; the new design is checked as a file would be, and every mistake is told with its place.
+# Any key may be changed; the new design is checked as a file would be, and every mistake is reported with its place.
 
 # %%
 coarser = design.replace("lattice.pitch", 1.0)

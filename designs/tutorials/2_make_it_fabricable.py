@@ -1,8 +1,8 @@
 # %% [markdown]
 # # Make it fabricable
 #
-# A sheet that obeys its law on paper may still fall into pieces, need radii that no tool cuts, or pass hardly any
-# light. Checks say which, and `fix` finds the fewest keys that mend it.
+# A sheet that obeys its law may still fall into pieces, need radii that no tool cuts, or pass little light. Checks
+# find this, and `fix` finds the fewest keys that mend it.
 
 # %%
 import clacad
@@ -21,7 +21,7 @@ for check, hints in advice.hints:
         print(f"    {hint}")
 
 # %% [markdown]
-# What failed, and which key would mend it at which value; each value was tried before it was said. `fix` changes
+# What failed, and which key would mend it at which value; each value was tried before it is printed. `fix` changes
 # as few keys as it can and keeps law, material and limits.
 
 # %%
@@ -31,7 +31,7 @@ print(fixed.changes)
 assert fixed.passes
 
 # %% [markdown]
-# The other way round: say what the sheet is for, and get a design that passes, with the reasons for its numbers.
+# The other direction: state what the sheet is for and get a design that passes, with the reasons for its numbers.
 
 # %%
 proposal = clacad.design_for({"eta": -1, "width": "60 mm", "process": "moulding", "material": "PC"})

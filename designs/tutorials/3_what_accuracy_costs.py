@@ -2,7 +2,7 @@
 # # What accuracy costs
 #
 # The same rays go up a ladder of four rungs: the law alone, ideal lenslets, the exact surfaces, and the triangles
-# of a file. Each has an error and a price. Which one is good enough is for you to say.
+# of a file. Each has an error and a price. Choose the one that is good enough.
 
 # %%
 import time

@@ -1,8 +1,8 @@
 # %% [markdown]
 # # A glens
 #
-# Let the offset δ grow with the place, δ = δ₀ + κ r, and the sheet is a lens: parallel light meets η/κ behind it. With
-# η < 0 both foci lie on the same side, as no ordinary lens has them. One key asks for it.
+# If the offset δ grows with the position, δ = δ₀ + κ r, the sheet is a lens: parallel light meets η/κ behind it. With
+# η < 0 both foci lie on the same side, unlike those of an ordinary lens. One key requests it.
 
 # %%
 import tempfile
@@ -24,9 +24,9 @@ for cell in ((0, 2), (49, 2), (99, 2)):
 assert design.law_at((99, 2)).delta_x == -design.law_at((0, 2)).delta_x
 
 # %% [markdown]
-# Cells stay where they are, so that they tile; only lens 2 of each stands elsewhere. Off its vertex a lens has coma, so
-# paraxial rays are no good guide to where: each vertex is moved until the mean of the cell's traced light leaves as its
-# law asks. Left where paraxial rays have it the focus of this sheet, 50 mm wide, is 6 mm off.
+# Cells stay where they are, so that they tile; only lens 2 of each is displaced. Off its vertex a lens has coma, so
+# paraxial rays are no good guide to where: each vertex is moved until the mean of the cell's traced light obeys
+# its law. Left where paraxial rays have it the focus of this sheet, 50 mm wide, is 6 mm off.
 
 # %%
 window = clacad.prescribe(design)
@@ -44,9 +44,9 @@ assert abs(focus["traced"] - 200) < 0.5 < 4 < abs(focus["paraxial"] - 200)
 
 # %% [markdown]
 # A cell does not focus: it sends a beam as wide as itself. So the image of a point is one cell wide, 0.5/√12 = 0.144 mm
-# rms, however good the lenses are; the law without cells would leave a point. `clacad.image` tells rung by rung, and of
-# any point: of what stands 2 m before the sheet the image is expected where the closed form has it. Light of nearer points
-# comes more aslant, and more of it misses its partner: that is the share.
+# rms, however good the lenses are; the law without cells would leave a point. `clacad.image` reports this for every
+# rung and any point. A point 2 m before the sheet is imaged where the closed form predicts. Light of nearer points arrives at
+# steeper angles, and more of it misses its partner lens: the share falls.
 
 # %%
 found = clacad.image(window, (20, 0, -2000))

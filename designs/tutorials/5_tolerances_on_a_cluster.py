@@ -1,7 +1,7 @@
 # %% [markdown]
 # # Tolerances, on this machine or on a cluster
 #
-# Which fabrication error hurts, and how many sheets will be good? Every sheet is traced as it would be made. Sample k
+# Which fabrication error costs most, and how many sheets will pass? Every sheet is traced as it would be made. Sample k
 # depends on the seed and on k alone, so that one process, four, or a cluster give the same numbers.
 
 # %%
@@ -20,7 +20,7 @@ SAMPLES = 32
 
 # %%
 def study(farm: Farm):
-    """The same sheets, wherever they are made."""
+    """The same sheets on any workers."""
     return tolerance(design, SAMPLES, seed=1, rays=128, farm=farm)
 
 

@@ -138,7 +138,7 @@ def test_where_nothing_passes_the_limits_that_bind_are_named_and_nothing_is_writ
 ):
     monkeypatch.setattr(fewest_keys, "TRIALS", 3)
     out = tmp_path / "better.toml"
-    words = ["check", str(too_close), "--set", "check.law_rms=0.0001 mrad", "--fix", "-o", str(out)]
+    words = ["check", str(too_close), "--set", "check.law_rms=0.0001 mrad", "--fix", "--all", "-o", str(out)]
     assert main(words) == 1
     said = capsys.readouterr().out
     assert "nothing passes of 3 designs tried" in said
@@ -215,7 +215,7 @@ def test_another_pitch_keeps_the_size_of_the_sheet():
 
 @pytest.mark.slow
 def test_check_ends_with_the_verdict_of_verify_and_tells_json_the_same(too_close, capsys):
-    assert main(["check", str(too_close), "--set", "pair.separation=10"]) == 0
+    assert main(["check", str(too_close), "--set", "pair.separation=10", "--all"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "verify will pass, warning of viewed"
     assert main(["check", str(too_close), "--json"]) == 1
     document = json.loads(capsys.readouterr().out)

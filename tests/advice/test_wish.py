@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from math import radians
+from dataclasses import replace
+from math import inf, radians
 from types import SimpleNamespace
 
 import pytest
@@ -23,7 +24,15 @@ from clacad.advice.candidate import (
     upper_pitches,
 )
 from clacad.advice.judged import judge
-from clacad.advice.lens_shape import AXIS, FAULTS, JUDGEMENT, UNEQUAL, Work
+from clacad.advice.lens_shape import (
+    AXIS,
+    FAULTS,
+    JUDGEMENT,
+    UNEQUAL,
+    Work,
+    layered,
+    least_of_one_material,
+)
 from clacad.advice.proposal import NoSuchSheet, design_for, nearest, not_met
 from clacad.advice.wish import KEYS, Wish, parse_wish, read_wish
 from clacad.advice.wish_search import Search, _rounded, impossible
@@ -357,7 +366,7 @@ def test_a_template_that_is_not_there_names_those_that_begin_so(kind, told):
 
 
 def test_the_list_groups_the_designs_of_the_paper_and_says_what_differs(tmp_path):
-    ended = clacad("new", "--list", cwd=tmp_path)
+    ended = clacad("new", "--list", "--all", cwd=tmp_path)
     lines = ended.out.splitlines()
     head = next(k for k, line in enumerate(lines) if "Fig. 5" in line)
     under = lines[head + 1 : head + 6]
@@ -434,7 +443,7 @@ def test_a_file_that_is_there_is_refused_before_the_search(tmp_path):
 
 
 def test_questions_have_defaults_and_a_wrong_answer_is_explained_and_asked_again(monkeypatch, capsys):
-    from clacad.cli.questions import ask
+    from clacad.cli.new_command import ask
 
     typed = iter(["", "0", "-.5", "", "", "circle 6 cm", "2 m", "moldin", "moulding", "PC", "", "hexagonal"])
     monkeypatch.setattr("builtins.input", lambda question: next(typed))
@@ -449,7 +458,7 @@ def test_questions_have_defaults_and_a_wrong_answer_is_explained_and_asked_again
 
 
 def test_a_person_who_gives_no_more_answers_ends_the_command(monkeypatch):
-    from clacad.cli.questions import ask
+    from clacad.cli.new_command import ask
 
     def gone(question):
         raise EOFError
@@ -457,3 +466,37 @@ def test_a_person_who_gives_no_more_answers_ends_the_command(monkeypatch):
     monkeypatch.setattr("builtins.input", gone)
     with pytest.raises(KeyboardInterrupt):
         ask()
+
+
+# -- white light -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_wish_for_white_light_finds_layers_and_says_what_they_cost():
+    words = parse_wish(["eta=-1, width=40 mm, pitch=0.5, white < 0.06 mrad"])
+    assert read_wish(words).white == 6e-5
+    assert parse_wish(["white=0.06 mrad"]) == parse_wish(["white <= 0.06 mrad"])
+    found = design_for(words)
+    white = next(check for check in found.judged.checks if check.id == "law_white")
+    assert white.value < white.limit == 6e-5
+    assert [body.material.name for body in found.judged.window.bodies] == ["PMMA", "PC", "PMMA"]
+    reasons = " ".join(found.reasons)
+    assert "one material (PMMA) leaves 0.0" in reasons
+    assert "cost: 3 layers, PMMA, PC, PMMA, cemented along 2 curved joints" in reasons
+    assert read_wish(found.wish.words()) == found.wish
+
+
+def test_what_one_material_leaves_of_white_light_is_the_floor_of_the_traced_sheet():
+    wish = read_wish({"eta": -1, "width": 20, "white": "1 mrad"})
+    design = built(wish, Variant("slab", conic=-0.448), 0.25, 57.29, "far")
+    white = next(check for check in judge(design).light if check.id == "law_white")
+    assert least_of_one_material(wish) == pytest.approx(white.detail["floor"], rel=0.01)
+    assert least_of_one_material(replace(wish, eta=(0.5, -2.0))) < inf
+
+
+def test_wishes_for_white_light_that_cannot_be_are_refused_with_their_reasons():
+    with pytest.raises(DesignError, match="white needs a material"):
+        read_wish({"eta": -1, "width": 20, "white": "1 mrad", "index": 1.5})
+    shapes, refused = read_wish({"eta": -0.5, "width": 20, "white": "0.05 mrad"}), []
+    assert list(layered(shapes, refused)) == []
+    assert "diamond-turning works none of N-BK7|N-SF6" in refused[0]

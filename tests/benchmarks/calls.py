@@ -114,6 +114,13 @@ ROWS: Mapping[str, Row] = {
 """Name → what is run. Rows of a few seconds to minutes; one whose name another row gives runs first."""
 
 
+def _filled(word: str, paths: Mapping[str, Path]) -> str:
+    """Word with {name} replaced by a path; other braces are left, those of TOML."""
+    for name, path in paths.items():
+        word = word.replace(f"{{{name}}}", str(path))
+    return word
+
+
 def run(row: Row, tree: Path, out: Path, given: Path) -> Seconds:
     """Run a row once in a process of its own.
 
@@ -122,7 +129,7 @@ def run(row: Row, tree: Path, out: Path, given: Path) -> Seconds:
     SystemExit
         It ended with a status which shows that it did not do its work.
     """
-    words = [word.format(tree=tree, out=out, given=given) for word in row.command]
+    words = [_filled(word, {"tree": tree, "out": out, "given": given}) for word in row.command]
     program = (
         [sys.executable, *words] if words[0].endswith(".py") else [sys.executable, "-m", "clacad", *words]
     )
@@ -140,19 +147,19 @@ def run(row: Row, tree: Path, out: Path, given: Path) -> Seconds:
     words_said = running.stderr.read()
     _, status, used = os.wait4(running.pid, 0)
     running.returncode = os.waitstatus_to_exitcode(status)
-    if running.returncode not in ENDED:
+    if running.returncode not in (ENDED if program[2] == "clacad" else (0,)):
         raise SystemExit(f"{' '.join(words)} ended with {running.returncode}: {words_said.decode()[-500:]}")
     written = sum(path.stat().st_size for path in out.glob("*")) if out.is_dir() else 0
     # the peak is that of the largest process: a child of this one, or one that it started
     return Seconds(used.ru_utime + used.ru_stime, time.monotonic() - began, used.ru_maxrss * 1024, written)
 
 
-def best(name: str, tree: Path, folder: Path) -> Seconds:
+def best(rows: Mapping[str, Row], name: str, tree: Path, folder: Path) -> Seconds:
     """The least of several runs of a short row, the one run of a long one; what it reads is made first, once a tree."""
-    row = ROWS[name]
+    row = rows[name]
     given = folder / row.given
     if row.given and not given.is_dir():
-        run(ROWS[row.given], tree, given, folder)
+        run(rows[row.given], tree, given, folder)
     found = [run(row, tree, folder / name, given)]
     while len(found) < TIMES and found[0].processor < SHORT and not row.fresh:
         found.append(run(row, tree, folder / name, given))
@@ -211,7 +218,7 @@ def python_rows(words: Sequence[str], trees: Sequence[Path]) -> None:
                 print(python_line(called(name, tree), by), flush=True)
 
 
-def main() -> None:
+def main(rows: Mapping[str, Row] = ROWS) -> None:
     """Run rows and print a table."""
     parser = argparse.ArgumentParser(description="Processor seconds and wall clock of what people call.")
     parser.add_argument("rows", nargs="*", metavar="ROW", help="default: all")
@@ -224,7 +231,7 @@ def main() -> None:
     parser.add_argument("--list", action="store_true", help="name the rows")
     asked = parser.parse_args()
     if asked.list:
-        print("\n".join(ROWS))
+        print("\n".join(rows))
         return
     trees = [ROOT] if asked.against is None else [ROOT, asked.against.resolve()]
     if asked.python:
@@ -234,8 +241,10 @@ def main() -> None:
     head += " before: processor s | wall s | peak MB | ratio |" if len(trees) > 1 else ""
     print(f"{head}\n|{'---|' * (head.count('|') - 1)}", flush=True)
     with tempfile.TemporaryDirectory() as scratch:
-        for name in asked.rows or ROWS:
-            found = [best(name, tree, _folder(Path(scratch), number)) for number, tree in enumerate(trees)]
+        for name in asked.rows or rows:
+            found = [
+                best(rows, name, tree, _folder(Path(scratch), number)) for number, tree in enumerate(trees)
+            ]
             print(line(name, found[0], found[1] if len(found) > 1 else None), flush=True)
 
 

@@ -30,9 +30,9 @@ def test_the_stage_at_work_is_said_though_it_tells_nothing_more(capsys):
     progress("thinking")
     time.sleep(0.5)
     assert capsys.readouterr().err == "thinking ...\n"
-    progress("writing")
+    progress("writing")  # elsewhere than on a terminal a wait gets one line, not one a stage
     progress.done()
-    assert capsys.readouterr().err == "writing ...\n"
+    assert capsys.readouterr().err == ""
 
 
 def test_nothing_is_said_of_what_is_over_before_the_silent_time(capsys):

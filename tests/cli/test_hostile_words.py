@@ -19,7 +19,6 @@ DESIGN = str(Path(__file__).parents[2] / "designs/window-100mm.toml")
     (["shape", "PICTURE", "--distance", "500", "-o", "OUT/d.json"], 2, "ends in .toml"),
     (["optimise", "DESIGN", "--free", "radii", "-o", "OUT/d.json"], 2, "ends in .toml"),
     (["stack", "DESIGN", "--gap", "5 mm", "-o", "OUT/s"], 2, "two sheets or more"),
-    (["stack", "DESIGN", "DESIGN", "--gap", "5 mm", "--set", "a.lattice.pitch_2=0.49", "-o", "OUT/s"], 2, "CL139: sheet a in GLB"),
     (["export", "DESIGN", "--format", "3mf", "--fused", "--quads", "100000", "-o", "OUT/e"], 3, "8192 at most"),
     (["export", "DESIGN", "--format", "tiff,stl", "--fused", "-o", "OUT/e"], 2, "it applies to step, 3mf, glb"),
     (["export", "DESIGN", "--format", "stl", "--role", "stl=preview", "--role", "stl=master", "-o", "OUT/e"], 2, "stl is named twice"),

@@ -89,7 +89,7 @@ def test_a_new_key_is_suggested_and_refused_as_its_kind_says():
         with_light(glwo=1, mood="wilt")
     messages = {mistake.key: mistake for mistake in caught.value.mistakes}
     assert messages["light.glwo"].hint == "light.glow"
-    assert messages["light.glwo"].allowed == "in [light]: coherent, glow, mood"
+    assert messages["light.glwo"].allowed == "in [light]: coherent, spectrum, temperature, glow, mood"
     assert messages["light.mood"].allowed == '"calm" | "wild"'
     assert '"wild"' in messages["light.mood"].hint
 
@@ -168,6 +168,7 @@ LEFT_NAMES = {
     "image_shift": 5,
     "part_height": 5,
     "law_bias": 11,
+    "law_white": 7,
     "part_width": 4,
     "fresnel_number": 6,
     "field_lens": 3,

@@ -12,7 +12,22 @@ from clacad.design import load, starter_designs, template, templates
 from clacad.scene import load_scene
 
 DESIGNS = Path(__file__).parents[2] / "designs"
-COMMENTED = {"galilean", "hexagonal", "paper", "plano", "slab", "tilted", "window"}
+COMMENTED = {
+    "achromat",
+    "achromat-plastic",
+    "galilean",
+    "hexagonal",
+    "paper",
+    "plano",
+    "scanner-f2",
+    "scanner-f5",
+    "slab",
+    "three-plates-10deg",
+    "three-plates-15deg",
+    "tilted",
+    "two-plates-10deg",
+    "window",
+}
 """Templates of their own; the template of any other form is the design of the same name."""
 
 

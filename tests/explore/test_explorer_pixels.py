@@ -74,3 +74,38 @@ def test_a_thousand_pixels_agree_with_rung_thin_in_slope_cell_and_fate(chromium,
     asked = traced.direction[:, :2] / traced.direction[:, 2:]
     shown = lit & same & (np.abs(asked) < 1.0).all(axis=1)
     assert np.abs(slope - asked)[shown].max() <= QUANTUM
+
+
+def test_an_own_photograph_stands_behind_the_sheet_and_nothing_is_requested(chromium, tmp_path):
+    """A picture of two colours, twice as wide as high, seen through a sheet of magnification 1."""
+    page = Page(chromium, tmp_path, shipped("paper-a-covered"))
+    before = len(chromium.requests())
+    card = page.picture(WIDE, TALL)
+    chromium.run("""(async () => {
+      const drawn = document.createElement('canvas'); drawn.width = 200; drawn.height = 100;
+      const ink = drawn.getContext('2d'); ink.fillStyle = '#ff0000'; ink.fillRect(0, 0, 100, 100);
+      ink.fillStyle = '#0000ff'; ink.fillRect(100, 0, 100, 100);
+      await window.explorer.photo(await new Promise((done) => drawn.toBlob(done)));
+      window.shown = true;
+    })()""")
+    chromium.wait("window.shown === true")
+    photo = page.picture(WIDE, TALL).reshape(TALL, WIDE, -1).astype(float)
+    red, blue = ((photo[..., a] - photo[..., b]) > 60.0 for a, b in ((0, 2), (2, 0)))
+    assert red.sum() > 20
+    assert blue.sum() > 20
+    assert abs(np.nonzero(red)[1].mean() - np.nonzero(blue)[1].mean()) > 3.0
+    chromium.run("document.querySelector('[name=card]').click()")
+    assert (page.picture(WIDE, TALL) == card).all()
+    assert len(chromium.requests()) == before
+    assert chromium.complaints() == []
+
+
+def test_every_number_is_explained_on_hover_and_focus(chromium, tmp_path):
+    Page(chromium, tmp_path, shipped("paper-a-covered"))
+    explained = chromium.run("""(() => {
+      const field = document.querySelector('input[type=number]'), term = document.getElementById(field.getAttribute('aria-describedby'));
+      const before = getComputedStyle(term).display; field.focus();
+      return [before, getComputedStyle(term).display, term.textContent.length > 10,
+        [...document.querySelectorAll('.row input')].every((one) => document.getElementById(one.getAttribute('aria-describedby')))];
+    })()""")
+    assert explained == ["none", "block", True, True]

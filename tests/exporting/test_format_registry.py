@@ -43,7 +43,8 @@ OTHER_MEANINGS = {
               "scene/sections.py"},  # the key camera.frame, the name of the part
     "height-calibration": {"exporting/formats/file_kind.py"},  # written by the formats of two modules
     "pins": {"design/model.py"},  # the key body.pins
-    "png": {"base/drawn_figure.py", "cli/accuracy_command.py", "cli/option_values.py", "imaging/shape.py",
+    "png": {"base/drawn_figure.py", "cli/accuracy_command.py", "cli/option_values.py", "cli/steer_command.py",
+            "report/measured_section.py", "report/scan_files.py", "imaging/shape.py",
             "imaging/image_by_rays.py", "report/pdf.py", "verification/accuracy/accuracy_plot.py",
             "judging/deviation_map.py", "verification/tolerance/study_files.py",
             "waves/wave_report.py"},  # pictures for people
@@ -64,7 +65,7 @@ OTHER_MEANINGS = {
     "table": {"cli/shape_command.py", "config/edit_text.py", "config/mistakes.py", "design/varying.py",
               "optics/material/catalogue.py", "optics/material/material.py", "report/pdf.py",
               "checks/file_kinds.py"},  # a check, a key, parts of TOML files, pages and formulas
-    "xyz": {"cli/image_command.py", "paper/figure1.py", "judging/mesh_wholeness.py",
+    "xyz": {"base/interactive.py", "cli/image_command.py", "paper/figure1.py", "judging/mesh_wholeness.py",
             "judging/registration.py"},  # the axes
 }  # fmt: skip
 """Files in which a word means something else; one that is gone fails."""

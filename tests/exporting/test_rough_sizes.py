@@ -98,3 +98,16 @@ def test_the_step_file_of_a_round_slab_with_displaced_arrays_is_forecast(apertur
     )
     window = prescribe(design)
     assert off(step_bytes(window, "fused"), step_text_length(window, "fused")) < 1.3
+
+
+@pytest.mark.parametrize("pitch", [0.495, 0.51])
+def test_the_step_file_of_a_slab_whose_array_2_has_another_pitch_is_forecast(pitch) -> None:
+    """The cell that is forecast has its partner aside; the plate of the sheet's arrays alone would cut it."""
+    from clacad.exporting.formats.step import step_bytes
+    from clacad.formats.step.step_files import step_text_length
+
+    keys = {"format": 1, "name": "pitch", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
+            "pair": {"form": "slab", "separation": 10.0, "index": 1.49, "offset": "paraxial"},
+            "lattice": {"pitch": 0.5, "count": [9, 2], "pitch_2": pitch}}  # fmt: skip
+    window = prescribe(clacad.Design.from_dict(keys))
+    assert off(step_bytes(window, "fused"), step_text_length(window, "fused")) < 1.5

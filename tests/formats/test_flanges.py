@@ -152,11 +152,14 @@ def test_a_plate_has_one_edge():
     assert mistakes(SLAB, outline={"circle": 20}, corners={"round": 1}) == [("CL114", "body.corners")]
 
 
-def test_a_plate_apart_is_refused_where_each_cell_is_aimed():
+def test_a_plate_apart_from_aimed_cells_is_built_and_refused_where_array_2_reaches_its_edge():
     aimed = {"aperture": {"point": [0, 0, -300]}}
-    assert mistakes(PLANO, aimed, outline={"circle": 20}) == [("CL125", "body.outline")]
-    carried = window(PLANO, aimed, border=2)
-    assert carried.outline.diameter == 10.5
+    plate = window(PLANO, aimed, outline={"circle": 20})
+    assert plate.outline.diameter == 20.0
+    assert window(PLANO, aimed, border=2).outline.diameter == 10.5
+    tight, cells = {"rectangle": [6.2, 6.2]}, {"outline": {"circle": 6.9}}  # arrays are 6 and 6.24 wide
+    assert window(PLANO, cells, outline=tight).lattice.cell_count == 24
+    assert mistakes(PLANO, aimed | cells, outline=tight) == [("CL141", "body.outline")]
 
 
 @pytest.mark.daily_cases("instanced")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from importlib import import_module
 from pathlib import Path
 
@@ -12,9 +13,13 @@ import pytest
 from oracle import trace as oracle
 
 import clacad
+from clacad.design import Design
+from clacad.design.starter_designs import template
 from clacad.exporting.run import export
-from clacad.optics.rays import Fate
+from clacad.formats.sequential.optiland_json import write_optiland
+from clacad.optics.rays import Fate, Rays
 from clacad.sheet.bundle import bundle
+from clacad.sheet.like_cell import in_light, interfaces
 from clacad.storage.errors import FileDisagrees, NotPossible, UnreadableFile
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -177,6 +182,35 @@ def test_optiland_sends_a_thousand_rays_where_clacad_does(tmp_path, name):
     rays = rays_of_optiland(window, starts[:1000], directions[:1000])
     lens.surfaces.trace(rays)
     assert angles(np.column_stack([rays.L, rays.M, rays.N]), wanted[:1000]).max() < 1e-9
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", ["achromat", "achromat-plastic", "achromat-doublets"])
+def test_optiland_sends_three_lines_where_clacad_does(tmp_path, kind):
+    """A file has one index a medium: its faces get those of each line, in the order of the light."""
+    pytest.importorskip("optiland", reason="the extra optiland is not installed")
+    from optiland.fileio import load_optiland_file
+    from optiland.materials import IdealMaterial
+
+    design = Design.from_dict(tomllib.loads(template("day", kind))).with_cells((3, 3))
+    window = clacad.prescribe(design)
+    path = tmp_path / "day.optiland.json"
+    write_optiland(window, path)
+    launched = bundle(window, 1024, design.check.field)
+    place = [*window.lattice.centres(np.array([launched.cell]))[0], 0.0]
+    for wave in (486.1e-9, 587.6e-9, 656.3e-9):
+        lens = load_optiland_file(str(path))
+        faces = [s for s in lens.surfaces if s.material_pre.n(0.5461) != s.material_post.n(0.5461)]
+        for surface, at in zip(faces, interfaces(in_light(window, wave)), strict=True):
+            surface.material_post = IdealMaterial(at.index_after)
+        result = clacad.trace(window, Rays(launched.rays.position, launched.rays.direction, wave))
+        alive = result.fate == Fate.ALIVE
+        rays = rays_of_optiland(
+            window, (launched.rays.position - place)[alive], launched.rays.direction[alive]
+        )
+        lens.surfaces.trace(rays)
+        assert angles(np.column_stack([rays.L, rays.M, rays.N]), result.direction[alive]).max() < 1e-9
 
 
 @pytest.mark.long

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import resource
 import struct
 import subprocess
@@ -28,6 +29,7 @@ from clacad.formats.mesh.ply import read_ply, write_ply
 from clacad.formats.mesh.readers import read_mesh
 from clacad.formats.mesh.stl import read_stl, stl_bytes, write_stl
 from clacad.formats.mesh.threemf import write_threemf
+from clacad.formats.placements import Piece
 from clacad.storage.errors import FileDisagrees, UnreadableFile
 
 WRITERS = {".3mf": write_threemf, ".ply": write_ply, ".glb": write_glb}
@@ -56,6 +58,22 @@ def exact_volume() -> float:
     a, b = top[:, 1, :2] - top[:, 0, :2], top[:, 2, :2] - top[:, 0, :2]
     area = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     return float(7 * SCALE**3 * (area * top[..., 2].mean(axis=1)).sum())
+
+
+def test_lines_joined_by_the_kernel_are_those_of_plain_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(5)
+    vertices = np.where(rng.random((301, 3)) < 0.1, 0.0, rng.normal(size=(301, 3)))
+    vertices *= 10.0 ** rng.integers(-9, 20, size=(301, 1))
+    piece = Piece.of("body", vertices, rng.integers(0, 301, size=(700, 3)))
+    plain = "".join(threemf.mesh_lines(piece, 1, 25.4))
+    monkeypatch.setattr(threemf, "MANY", 64)
+    assert "".join(threemf.mesh_lines(piece, 1, 25.4)) == plain
+    numbers = re.findall(r'"(\d+)"', plain.split("<triangles>")[1])
+    assert np.array_equal(np.array(numbers, dtype=int).reshape(-1, 3), piece.whole.triangles)
+    for count in (1, 10, 11, 1003):
+        letters, starts = threemf._counting(count)
+        assert letters.tobytes().decode() == "".join(map(str, range(count)))
+        assert np.diff(starts).tolist() == [len(str(n)) for n in range(count)]
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
@@ -89,7 +107,7 @@ def test_formats_of_double_precision_keep_every_bit(tmp_path: Path, suffix: str)
 def test_vertex_normals_survive(tmp_path: Path, suffix: str) -> None:
     part = read_mesh(write(tmp_path / f"toy{suffix}")).parts[0]
     normals = part.corner_normals(0, 10)
-    expected = meshtoys.piece().normals
+    expected = meshtoys.piece().whole.normals
     assert normals is not None
     assert expected is not None
     np.testing.assert_allclose(normals, expected[meshtoys.block()[1]][:10], atol=1e-7)
@@ -294,9 +312,9 @@ def test_a_cut_file_is_refused(tmp_path: Path, suffix: str, share: float) -> Non
 @pytest.mark.parametrize("suffix", FORMATS)
 def test_a_corner_that_is_no_number_is_never_written(tmp_path: Path, suffix: str) -> None:
     bad = meshtoys.piece()
-    bad.vertices[3, 1] = np.nan
+    bad.whole.vertices[3, 1] = np.nan
     path = tmp_path / f"bad{suffix}"
-    streams = [meshtoys.Stream("bad", bad.vertices[bad.triangles])]
+    streams = [meshtoys.Stream("bad", bad.whole.vertices[bad.whole.triangles])]
     with pytest.raises(FileDisagrees, match="finite"):
         write_stl(streams, path, 1.0, "bad") if suffix == ".stl" else WRITERS[suffix]([bad], path, 1.0, "bad")
 

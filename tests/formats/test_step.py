@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,9 @@ from brepwindows import SWEEPS, biconvex, column_volume, one_body
 
 import clacad
 from clacad.exporting.formats.step import step_bytes
+from clacad.formats.step import text_health
 from clacad.formats.step.step_files import read_step, step_text_length, write_step
-from clacad.formats.step.text_health import scan_step
+from clacad.formats.step.text_health import Scan, scan_step
 from clacad.sheet.lattice import Circle, Rectangle
 from clacad.storage.errors import UnreadableFile
 
@@ -235,6 +237,32 @@ def test_a_loop_that_its_face_takes_the_other_way_round_is_counted_the_other_way
         )
     turned.write_text(flagged)
     assert scan_step(turned).open_edges == scan_step(path).open_edges == 0
+
+
+@pytest.mark.parametrize("change", [
+    lambda text: text,
+    lambda text: text.replace("',(", "' ,\n ( ").replace(",#", ", #").replace("=", " = "),
+    lambda text: text.replace("'lens'", "'it''s #12; (1., .F.'").replace("'wall'", "''"),
+    lambda text: text.replace(".5,", ".5000000000000000001,").replace("(0.,", "(+0.E+00,").replace(",-0.", ",-0.0e-9"),
+    lambda text: re.sub(r"(=FACE_OUTER_BOUND\('',#\d+),\.T\.\)", r"\1,.F.)", text, count=1),
+    lambda text: re.sub(r"(=ORIENTED_EDGE.*)\.T\.", r"\1.F.", text, count=1),
+    lambda text: re.sub(r"\n#\d+=(VERTEX_POINT|EDGE_CURVE).*;", "", text, count=1),
+], ids=["as written", "broken lines", "strings", "digits", "turned loop", "turned edge", "lost"])  # fmt: skip
+def test_a_large_file_is_scanned_as_a_small_one(tmp_path, monkeypatch, change):
+    """Frequent entities of large files are read by compiled code; all that is found is the same, bit by bit."""
+    path = tmp_path / "x.step"
+    write_step(biconvex(**TILTED), path)
+    path.write_text(change(path.read_text()))
+    alone = scan_step(path)
+    monkeypatch.setattr(text_health, "LARGE", 0)
+    monkeypatch.setattr(text_health, "_CHUNK", 1 << 14)
+    whole = scan_step(path)
+    names = [one.name for one in fields(Scan) if one.name not in ("parts", "points", "frames")]
+    np.testing.assert_array_equal(whole.frames, alone.frames)
+    assert [getattr(whole, name) for name in names] == [getattr(alone, name) for name in names]
+    for ours, theirs in ((whole.points.lookup(), alone.points.lookup()), (whole.groups[0], alone.groups[0])):
+        for kept, expected in zip(vars(ours).values(), vars(theirs).values(), strict=True):
+            np.testing.assert_array_equal(kept, expected)
 
 
 def test_a_file_of_another_radius_is_as_far_from_the_design_as_its_sag(tmp_path):

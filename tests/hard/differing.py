@@ -27,12 +27,25 @@ def window_of(changes):
     """The sheet with some keys changed; `gradient` replaces the gradient that the design gives the places of lenses 2."""
     keys = dict(changes)
     gradient, etas = keys.pop("gradient", None), keys.pop("etas", None)
+    if "faces" in keys:
+        return listed(keys)
     window = prescribe(Design.from_dict(BASE).replace(keys)) if etas is None else tabled(keys, etas)
     if gradient is None:
         return window
     (body,) = window.bodies
     change = replace(body.back.change or VertexChange(), gradient=gradient)
     return replace(window, bodies=(replace(body, back=replace(body.back, change=change)),))
+
+
+def listed(keys):
+    """Plates of listed faces; `indices` replaces those of their media."""
+    faces, indices = keys.pop("faces"), keys.pop("indices", None)
+    pair = {"form": "plates", "wavelength": 546.1, "face": [{**face} for face in faces]}
+    window = prescribe(Design.from_dict({**BASE, "pair": pair}).replace(keys))
+    if indices is None:
+        return window
+    bodies = [replace(body, index=n, material=None) for body, n in zip(window.bodies, indices, strict=True)]
+    return replace(window, bodies=tuple(bodies))
 
 
 def tabled(keys, etas):
@@ -105,7 +118,31 @@ BENT = {"law.varying": {"gradient": [[-1e-12, 3e-13], [2e-13, 1e-12]]}}
 TABLED = {"law.varying": {"f_image": 200}, "pair.offset": "traced", "lattice.count": [41, 41]}
 LEANING = {"law.euler": [30, 3, 10], "law.varying": {"gradient": [[-5e-3, 0.0], [0.0, -5e-3]]}}
 OWN = {"etas": spread(-0.5, -2.0)}
+GIVEN = {"pair.prescription": "given", "pair.face": [
+    {"radius": 2.5, "conic": -0.4, "a4": [1e-3, 2e-3, 1e-3]}, {"radius": 2.5, "a6": [-2e-4, 0, 0, 1e-4]}]}  # fmt: skip
 CURL = ((1e-3, -7e-3), (5e-3, 2e-3))
+SILICA, FLINT = {"behind": "Fused silica"}, {"radius": "inf", "behind": "N-SF6"}
+FLAT = {"faces": [
+    {"radius": 2.3, "conic": -0.449, "array": 1, **SILICA}, {"after": 1.65, **FLINT}, {"after": 14.02, "radius": "inf", **SILICA},
+    {"after": 1.65, "radius": -2.3, "conic": -0.449, "array": 2, "behind": "air"},
+]}  # fmt: skip
+CEMENTED = {"faces": [
+    {"radius": 2.3, "conic": -0.373, "array": 1, "behind": "PMMA"}, {"after": 1.0, "radius": -5.1, "array": 1, "behind": "PS"},
+    {"after": 13.83, "radius": 5.1, "array": 2, "behind": "PMMA"}, {"after": 1.0, "radius": -2.3, "conic": -0.373, "array": 2, "behind": "air"},
+]}  # fmt: skip
+FILM = {"faces": [
+    {"radius": 3.0, "array": 1, "behind": "PMMA"}, {"after": 9.0, "radius": "inf", "behind": "PS"}, {"after": 5e-7, "radius": "inf", "behind": "PMMA"},
+    {"after": 9.0, "radius": -3.0, "array": 2, "behind": "air"},
+]}  # fmt: skip
+SKIN = {"faces": [
+    {"radius": 3.0, "array": 1, "behind": "PMMA"}, {"after": 1.0, "radius": 4.0, "array": 1, "behind": "PS"},
+    {"after": 5e-7, "radius": 4.0, "array": 1, "behind": "PMMA"}, {"after": 16.0, "radius": -3.0, "array": 2, "behind": "air"},
+]}  # fmt: skip
+AIR_GAPS = {"faces": [
+    {"radius": 3.0, "array": 1, "behind": "PMMA"}, {"after": 2.0, "radius": "inf", "behind": "air"},
+    {"after": 1.5, "radius": 4.0, "array": "field", "behind": "PS"}, {"after": 1.0, "radius": -4.0, "array": "field", "behind": "air"},
+    {"after": 1.5, "radius": "inf", "behind": "PMMA"}, {"after": 2.0, "radius": -3.0, "array": 2, "behind": "air"},
+]}  # fmt: skip
 CASES = [
     case("cell (10^4, 10^4) of an aimed sheet", "the middle, where every place is 0", aimed(-8e4, **WIDE), (10_000, 10_000)),
     case("cell (2e4, 10^4), g = 1 + 1/8000", "5 m out the partner stands 1.25 pitches beside it", aimed(-8e4, **WIDE), (20_000, 10_000)),
@@ -189,5 +226,25 @@ CASES = [
     case("biconvex, eta from -.8 to -1.2", "thick lenses of one thickness", {**BICONVEX, "etas": spread(-0.8, -1.2)}, (17, 3)),
     case("biconvex, turned and tilted, eta from -.8 to -1.2", "figures lean, their sizes do not",
          {**TILTED, "law.eta": [-1, -1], "etas": spread(-0.8, -1.2)}, (17, 3), off=(0.02, 0.01)),
+    case("a polynomial, eta from -1/2 to -2", "terms of given faces scale by other powers", {**OWN, **GIVEN}, (18, 2)),
+    case("an ellipsoid of depth 3, eta from -1/2 to -2", "depths scale with their lenses", {**OWN, "pair.depth": [3, 2.6]}, (2, 17)),
+    case("sharp pairs steered by .1", "array 2 is wider, and moved by two cells",
+         {"pair.focus": {"object": -300, "image": 400}, "lattice.aperture": [0.1, -0.05]}, (19, 3)),
+    case("sharp pairs tilted by 3 degrees", "each lens 1 has its own size, 1 + 1e-4 in the corners",
+         {"law.euler": [30, 3, 10], "pair.focus": {"object": -300, "image": 400}}, (20, 3), off=(0.05, -0.06)),
     case("conics, eta from -1/2 to -2", "biconic faces are figures too", {**OWN, "pair.surface": "biconic"}, (18, 2)),
+    case("joints of planes, aimed", "cells change behind two joints", {**BESIDE, **FLAT}, (20, 3)),
+    case("joints of planes, aimed, a ghost", "lens 2 of the next cell", {**BESIDE, **FLAT}, (9, 14), slope=(0.05, -0.02)),
+    case("joints of planes, cell (999, 1) of 10^6", "places are .25 m from the middle", aimed(-8e4, **FLAT, **{"lattice.count": [1000, 1000]}), (999, 1)),
+    case("joints of planes, array 2 turned and narrower", "a plane has the cells of no array", rotated("1 deg", 0.998, **FLAT), (20, 7)),
+    case("joints of planes, kappa = 1e-12", "lenses stand 5e-11 aside behind joints", {**FLAT, **GLENS}, (20, 20)),
+    case("curved joints", "each is one surface, met once", CEMENTED, (3, 17)),
+    case("curved joints, a ghost", "the second joint is that of the next cell", CEMENTED, (9, 14), slope=(0.05, -0.02)),
+    case("curved joints, cell (999, 1) of 10^6", "heights of a joint from places .25 m off", {**CEMENTED, "lattice.count": [1000, 1000]}, (999, 1)),
+    case("curved joints, index ratio 1 + 1e-12", "a joint that hardly bends must not lose the rest",
+         {**CEMENTED, "indices": (1.5, 1.5 * (1.0 + 1e-12), 1.5)}, (3, 17)),
+    case("curved joints, index ratio 1 - 1e-12", "from the dense side", {**CEMENTED, "indices": (1.5 * (1.0 + 1e-12), 1.5, 1.5)}, (3, 17)),
+    case("a film of 1e-6 pitches between planes, aimed", "two joints closer than a chord of a lens is high", {**BESIDE, **FILM}, (20, 3)),
+    case("a skin of 1e-6 pitches between curved joints", "the same on two curved faces", SKIN, (3, 17)),
+    case("a field plate in air, aimed", "three arrays, each with cells of its own", {**BESIDE, **AIR_GAPS, "pair.offset": "paraxial"}, (12, 5), off=(0.02, -0.03)),
 ]  # fmt: skip

@@ -77,33 +77,38 @@ DIFFERING = "tests/hard/test_hard_differing.py"
 FAR_OUT, ROWS = (
     f"{DIFFERING} -m '' -k '({chosen}) and numpy'" for chosen in ("2e4 and 8000", "kappa or curl")
 )
-OWN_ETA, SIZES = "tests/sheet/test_cells_of_own_eta.py", "clacad/prescription/varying_cells.py"
+OWN_ETA, SIZES = "tests/sheet/test_cells_of_own_eta.py", "clacad/prescription/cells.py"
+SHARP = "tests/sheet/test_sharp_pairs.py"
 FIGURES = f"{DIFFERING} -m '' -k 'numpy and eta'"
 ALIKE, ITS_KERNEL = (
     f"{DIFFERING} -k 'like_one or wide_as or farthest'",
     f"{DIFFERING} -m '' -k 'numba and (kappa or curl or hexagonal or .9975)'",
 )
 
+JOINTS, BOUND = f"{DIFFERING} -k 'numpy and (joints or film) and not 10'", "tests/mesh/test_plates_mesh.py"
+FIXTURES, SCENES = "tests/exporting/test_fixtures_of_plates.py", "tests/rendering/test_pov_plates.py -m ''"
+FIXED = f"{FIXTURES} -k stop"
+
 MUTATIONS = [
     # -- non-uniform sheets
     Mutation("places: centres rounded", PLACES, "two_product(2.0 * i - (n1 - 1), 0.5 * lattice.pitch[0])", "pair((2.0 * i - (n1 - 1)) * (0.5 * lattice.pitch[0]))", FAR_OUT),
     Mutation("places: gradient transposed", PLACES, "[xx * x + xy * y, yx * x + yy * y]", "[xx * x + yx * y, xy * x + yy * y]", ROWS),
     Mutation("places: the table forgotten", PLACES, "return change if self.table is None else", "return change if True else", ROWS),
-    Mutation("places: rows of hexagons as of squares", PLACES, "place = i + j // 2 if lattice.hexagonal else i\n", "place = i\n", ROWS),
+    Mutation("places: rows of hexagons as of squares", PLACES, "return index[..., 0] + index[..., 1] // 2 if lattice.hexagonal else index[..., 0]\n", "return index[..., 0]\n", ROWS),
     Mutation("places: the lattice's pitch for every array", PLACES, "pitch=base.pitch if self.pitch is None else self.pitch, outline=None", "pitch=base.pitch, outline=None", ROWS),
     Mutation("places: farthest lenses in one direction", PLACES, "(2.0 * np.pi / DIRECTIONS)", "0.0", ALIKE),
     Mutation("places: the first cell of each row alone", PLACES, "row[[0, -1]]", "row[[0, 0]]", ALIKE),
     Mutation("like a cell: the law of the middle", LIKE, "law=window.law_at(index)", "law=window.law", ALIKE),
     Mutation("like a cell: thin lens 2 where the middle has it", LIKE, "+= apart - np.asarray(pair.shift)", "+= 0.0 * apart", ALIKE),
     Mutation("like a cell: thin lens 2 not moved in its cell", LIKE, "+= [float(v) for v in lenses[1].apex]", "+= 0.0 * apart[0]", ALIKE),
-    Mutation("like a cell: cells 2 of thin lenses in the middle's place", LIKE, "offset=(x, y, z), shift=_pair(apart))", "offset=(x, y, z))", ALIKE),
+    Mutation("like a cell: cells 2 of thin lenses in the middle's place", LIKE, "offset=(x, y, z), shift=xy(apart))", "offset=(x, y, z))", ALIKE),
     Mutation("like a cell: lenses where the middle has them", LIKE, "back=window.in_cell(body.back, index)", "back=replace(body.back, change=None)", ALIKE),
-    Mutation("like a cell: partners in the middle's place", LIKE, "_pair(window.centres(k, index) - first)", "window.shifts[k]", ALIKE),
+    Mutation("like a cell: partners in the middle's place", LIKE, "xy(window.centres(k, index) - first)", "window.shifts[k]", ALIKE),
     Mutation("like a cell: never wider", LIKE, "max(scales) if widest", "1.0 if widest", ALIKE),
     Mutation("like a cell: always wider", LIKE, "if widest else 1.0", "if True else 1.0", ALIKE),
     Mutation("like a cell: one direction", "clacad/sheet/representative_cells.py", "(2.0 * np.pi / SIDES)", "0.0", ALIKE),
     Mutation("kernel: gradient transposed", OWN, "return xx * x + xy * y, yx * x + yy * y", "return xx * x + yx * y, xy * x + yy * y", ITS_KERNEL),
-    Mutation("kernel: rows of hexagons as of squares", BLOCKS, "place = a + b // 2 if hexagonal else a", "place = a", ITS_KERNEL),
+    Mutation("kernel: rows of hexagons as of squares", OWN, "int(i) + int(j) // 2 if", "int(i) if", ITS_KERNEL),
     Mutation("kernel: the table forgotten", BLOCKS, "if which >= 0:", "if which > 99:", ITS_KERNEL),
     Mutation("kernel: hexagons' centres by columns of squares", OWN, "return (i - grid.across) + grid.skew * j, j", "return i - grid.across, j", ITS_KERNEL),
     Mutation("kernel: another pitch as if it were the same", BLOCKS, "two_sum(one.pitch, -two.pitch)", "(0.0, 0.0)", ITS_KERNEL),
@@ -115,17 +120,37 @@ MUTATIONS = [
     Mutation("sizes: thin lenses of one focal length", "clacad/tracing/reference/thin.py", "p / places.size, q / places.size", "p, q", OWN_ETA),
     Mutation("sizes: lens 2 as large as lens 1", SIZES, "first * (etas / eta)", "first", OWN_ETA),
     Mutation("sizes: thick lenses as thin ones", SIZES, 'and design.pair.confocal == "exact"', "and False", OWN_ETA),
+    Mutation("sizes: a thickness for the law's lens alone", "clacad/prescription/cell_heights.py", "for one in _bodies_that_differ(window, body):\n        spare", "for one in [body]:\n        spare", f"{OWN_ETA} -k least_radius"),
+    Mutation("sizes: given lenses by those of thin ones", SIZES, "base = biconvex_exact((eta, eta), recipe", "base = biconvex_exact((2 * eta, 2 * eta), recipe", OWN_ETA),
+    Mutation("sharp: thin lenses by principal planes", "clacad/prescription/sharp_pairs.py", 'and design.pair.confocal == "exact"', "and True", f"{SHARP} -k thin_recipe"),
+    Mutation("sharp: the best radii for parallel light", "clacad/prescription/best_recipe.py", "RequestedLaw.of(window).expected(lit)", "window.law.refract(lit.rays.direction)", f"{SHARP} -k best"),
+    Mutation("sharp: tilted pairs of one size", "clacad/prescription/sharp_pairs.py", "apart = np.asarray(centres @ window.law.rotation[:2, 2])", "apart = np.zeros(len(centres))", f"{SHARP} -k lens_equation"),
+    Mutation("sharp: cells 2 of tilted pairs where uniform ones lie", SIZES, "table = table - _followed(placed.placements[1], placed, targets.cells)", "table = table + 0.0", f"{SHARP} -k own_distance"),
+    Mutation("sharp: the image of tilted lenses along the normal", "clacad/verification/light/special_checks.py", "(x / z, y / z, along) if along == -inf else (x * along, y * along, z * along)", "(0.0, 0.0, along)", f"{SHARP} -k upright"),
+    Mutation("sharp: steered cells where unsteered ones lie", "clacad/prescription/sharp_pairs.py", "CellPlacement(window.placements[1].shift, pitch, turn)", "CellPlacement((0.0, 0.0), pitch, turn)", f"{SHARP} -k steered"),
     Mutation("sizes: neighbours in one direction", SIZES, "lattice.steps[: len(lattice.steps) // 2]", "lattice.steps[:0]", OWN_ETA),
     Mutation("sizes: the law of the sheet in every cell", "clacad/sheet/cell_places.py", "index), d, own)", "index), d)", OWN_ETA),
-    Mutation("sizes: one light for every cell", "clacad/prescription/varying_cells.py", "np.minimum(1.0, 1.0 / np.abs(etas[:, 0]))", "np.ones(len(etas))", f"{OWN_ETA} -k mean_of_the_light"),
+    Mutation("sizes: one light for every cell", "clacad/prescription/cells.py", "np.minimum(1.0, 1.0 / np.abs(ratio))", "np.ones(len(ratio))", f"{OWN_ETA} -k mean_of_the_light"),
     Mutation("vertex: given up where the first step is too long", "clacad/prescription/traced_vertices.py",
              "step = np.where(beyond, np.copysign(allowed[:, None], step) - move, step)", "step = np.where(beyond, np.nan, step)", f"{DIFFERING} -k bracket"),
+    # -- joints and plates
+    Mutation("joint: air in it", "clacad/sheet/face_order.py", "inside[number] if body.joined else 1.0]", "1.0]", JOINTS),
+    Mutation("joint: heights of the body before", "clacad/tracing/reference/surfaces.py", "replace(beam, z=beam.z - (body.level - layout.bodies[b - 1].level))", "beam", JOINTS),
+    Mutation("kernel: heights of the body before a joint", "clacad/tracing/compiled/straight_path.py", "oz -= body[slot.LEVEL] - bodies[b - 1, slot.LEVEL]", "oz -= 0.0 if body[slot.JOINED] != 0.0 else body[slot.LEVEL] - bodies[b - 1, slot.LEVEL]", f"{DIFFERING} -m '' -k 'numba and joints and aimed'"),
+    Mutation("joint: the body behind it on the other side", "clacad/sheet/window.py", "surface=other_side(self.surface)", "surface=self.surface", f"{BOUND} -k volume_of_its_listed_faces"),
+    Mutation("joint: a face of one body only", "clacad/sheet/face_order.py", "if side or not body.joined", "if True", "tests/prescription/test_face_list.py -k nearly_equal_media"),
+    Mutation("baffle: channels of the first array in every gap", "clacad/exporting/fixtures/baffle.py", "body.arrays[-1 if side > 0 else 0]", "body.arrays[0]", FIXED),
+    Mutation("baffle: sheared from the far face of a plate", "clacad/exporting/fixtures/baffle.py", "(body.back if side > 0 else body.front).vertex[2]", "(body.front if side > 0 else body.back).vertex[2]", FIXED),
+    Mutation("pins: the first gap in every gap", "clacad/exporting/fixtures/pins_and_coupon.py", "zip(pins.heights[3:-1:2], pins.heights[4::2], strict=True)", "[(z1, z2)] * (len(pins.heights) // 2 - 2)", f"{FIXTURES} -k sleeve"),
+    Mutation("names: media that are exchanged", "clacad/judging/mesh_wholeness.py", "index[said] != index[body]", "index[said] < 0.0", f"{BOUND} -k exchange"),
+    Mutation("names: heights of objects as stored", "clacad/judging/mesh_wholeness.py", "z = points @ place[:3] + place[3]", "z = points[..., 2]", f"{BOUND} -k exchange"),
+    Mutation("POV: the other sheet of a concave face", "clacad/exporting/pov/pov_solids.py", "if not other or (s.kappa > 0.0 and not concave):", "if True:", SCENES),
     # -- what aimed sheets are made of, and their triangles
     Mutation("aimed: scaled the other way", AIMED, "scale = 1.0 - k / z", "scale = 1.0 + k / z", f"{MADE} -k vertices_and_shares"),
     Mutation("aimed: scaled for light near the axis", AIMED, "k = float((np.array(landing((float(a[0]), float(a[1])))) - still) @ a / (a @ a))",
              "k = float(np.array(landing((1e-3, 0.0)))[0] * 1e3)", f"{MADE} -k outermost"),
     Mutation("aimed: a point beside the axis forgotten", AIMED, "shift = still + k * np.array([x, y]) / z", "shift = still", f"{MADE} -k vertices_and_shares"),
-    Mutation("aimed: lenses stay in the middle of their cells", AIMED, "((1.0 - gx, 0.0), (0.0, 1.0 - gy))", "((0.0, 0.0), (0.0, 0.0))",
+    Mutation("aimed: lenses stay in the middle of their cells", AIMED, "((kept * (1.0 - gx), 0.0), (0.0, kept * (1.0 - gy)))", "((0.0, 0.0), (0.0, 0.0))",
              f"{MADE} -k vertices_and_shares"),
     Mutation("mesh: what passes array 2 beside it is land", MESH, "missed[rows[~over]] = True", "missed[rows[~over]] = False", f"{TRIANGLES} -k has_missed"),
     Mutation("mesh: cells of array 1 in every array", MESH, "_cells(window, face.array, at", "_cells(window, 0, at", f"{TRIANGLES} -k scaled_array"),

@@ -42,6 +42,18 @@ def pair(centre=(0.0, 0.0)):
     return [*first, *lens(100.0, 40.0, 63.24555320336759, z=0.05, centre=centre)]
 
 
+def joint(ratio, film=0.0):
+    """Cemented doublet: two glasses whose indices have a ratio, or a film of the second between two of the first."""
+    front = oracle.quadric(40.0, 30.0, 35.0, 1, before=1.0, after=1.5)
+    found = [front, oracle.quadric(60.0, 50.0, 55.0, -1, vertex=(0, 0, 1e-3), before=1.5, after=1.5 * ratio)]
+    if film:
+        found.append(replace(found[1], vertex=(0, 0, 1e-3 + film), before=1.5 * ratio, after=1.5))
+    return [
+        *found,
+        oracle.quadric(40.0, 30.0, 35.0, -1, vertex=(0, 0, 2e-3), before=found[-1].after, after=1.0),
+    ]
+
+
 def turned(faces, *euler):
     """The same faces, each turned about its vertex."""
     return [replace(face, euler=euler) for face in faces]
@@ -237,4 +249,16 @@ HARD = [
     Hard("polynomial, scale 1e9", "coefficients of 1e-28 and 1e-64", [op(0.9e-9, 1.2e-9, -1, -1, (2e-28, 4e-28, 1e-28), a8=(3e-64, 0, 0, 0, 1e-64))], (3e8, -2e8, -1e9), (0.1, 0.2, 1)),
     Hard("polynomial, tilt 60 degrees", "the local ray is steep", [replace(op(0.9, 1.2, -1, -1, (0.2, 0.4, 0.1)), euler=(0.4, 1.047, 0.2))], (0.01, 0.02, -1), (0, 0.02, 1)),
     Hard("bent pair of polynomials", "four faces, each with its own radii and terms", BENT, (1e-3, -1.4e-3, -0.01), (0.012, -0.008, 1)),
+    Hard("joint at 89.999 degrees", "cos i = 1.7e-5 between two glasses", [oq(0, 0, 0, before=1.5, after=1.6)], (-1.0, 0, -1.745e-5), (1, 0, 1.745e-5)),
+    Hard("joint at 89.999 degrees, ratio 1 - 1e-12", "critical at 89.99992 degrees", [oq(0, 0, 0, before=1.5, after=1.5 * (1 - 1e-12))],
+         (-1.0, 0, -1.745e-5), (1, 0, 1.745e-5)),
+    Hard("joint at 89.9999 degrees, ratio 1 - 1e-12", "1e-7 of an angle beyond the critical one", [oq(0, 0, 0, before=1.5, after=1.5 * (1 - 1e-12))],
+         (-1.0, 0, -1.2e-6), (1, 0, 1.2e-6)),
+    Hard("joint below critical", "cos t = sqrt of a cancelled difference", [oq(0, 0, 0, before=1.8, after=1.2)], (0, 0, -1), critical(1)),
+    Hard("joint above critical", "the same difference, negative", [oq(0, 0, 0, before=1.8, after=1.2)], (0, 0, -1), critical(-1)),
+    Hard("curved joint, ratio 1 + 1e-12", "three faces, of which the middle one hardly bends", joint(1 + 1e-12), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
+    Hard("curved joint, ratio 1 - 1e-12", "the same from the dense side", joint(1 - 1e-12), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
+    Hard("curved joint, ratio 1.25", "a joint that bends as a face of a lens does", joint(1.25), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
+    Hard("film of 1e-6 pitches between joints", "the way through it is 1e-9 of that to it", joint(1.1, film=5e-10), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
+    Hard("film of 1e-12 pitches between joints", "thinner than the rounding of its place", joint(1.1, film=5e-16), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
 ]  # fmt: skip

@@ -73,14 +73,15 @@ def marks(case):
     large = dict(case.changes).get("lattice.count", (0, 0))[0] >= FAR[0]
     border = "a few last bits" in case.name and not case.name.endswith(EVERYDAY)
     figures = "etas" in dict(case.changes) and not case.name.endswith(EVERYDAY)
-    return [pytest.mark.slow] if large or border or figures else []
+    vast = case.name.endswith("planes, cell (999, 1) of 10^6")
+    return [pytest.mark.slow] if large or border or figures or vast else []
 
 
 @pytest.mark.parametrize("path", ["numpy", pytest.param("numba", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("case", [pytest.param(case, id=case.name, marks=marks(case)) for case in CASES])
 def test_a_ray_through_cells_that_differ_goes_where_sixty_digits_say(case, path):
     window = window_for(case)
-    assert not window.uniform
+    assert not window.uniform or "faces" in dict(case.changes)
     start, direction = ray_of(case, window)
     exact = oracle.trace(window, start, direction)
     result = trace(window, Rays([start], [direction]), path=path)

@@ -218,9 +218,10 @@ def test_the_command_shape_writes_a_design_that_verifies_its_table_and_nothing_w
         "512",
     ]
     assert main([*words, "--dry-run"]) == 0
+    assert capsys.readouterr().out
     assert not out.exists()
     assert main([*words, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out.split("\n", 1)[1])
+    told = json.loads(capsys.readouterr().out)
     assert told["within_one_blur"] > 0.8
     names = {"d.toml", "d.cells.csv", "d.png"}
     first = {name: (tmp_path / name).read_bytes() for name in names}
@@ -292,6 +293,10 @@ def test_the_command_shape_writes_a_design_that_verifies_its_table_and_nothing_w
     assert main([*same, str(tmp_path / "x.toml"), "--design", str(tmp_path / "tilted.toml")]) == 2
     told = capsys.readouterr().err
     assert f"{tmp_path / 'tilted.toml'}:6:9: error CL125: law.euler" in told
+    aimed = TINY.replace("[law.varying]\nf_image = 100\n", "") + "aperture = {point = [0, 0, -400]}\n"
+    (tmp_path / "aimed.toml").write_text(aimed)
+    assert main([*same, str(tmp_path / "x.toml"), "--design", str(tmp_path / "aimed.toml")]) == 2
+    assert "error CL125: lattice.aperture" in capsys.readouterr().err
     assert not (tmp_path / "x.toml").exists()
     assert not (tmp_path / "x.cells.csv").exists()
 

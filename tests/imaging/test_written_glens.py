@@ -19,7 +19,7 @@ DESIGN = {
 
 
 def patches(path):
-    """Bezier patches of a STEP file by the middle of their poles: [(x, y, z), poles (m, n, 3)]."""
+    """Bezier patches of a STEP file: poles and their weights (m, n, 4)."""
     from OCP.BRep import BRep_Tool
     from OCP.STEPControl import STEPControl_Reader
     from OCP.TopAbs import TopAbs_FACE
@@ -36,10 +36,12 @@ def patches(path):
         if surface.DynamicType().Name() != "Geom_BSplineSurface":
             continue
         assert surface.NbUKnots() == surface.NbVKnots() == 2
-        assert not surface.IsURational()
-        assert not surface.IsVRational()
         poles = [
-            [(p.X(), p.Y(), p.Z()) for p in (surface.Pole(i, j) for j in range(1, surface.NbVPoles() + 1))]
+            [
+                (p.X(), p.Y(), p.Z(), surface.Weight(i, j))
+                for j in range(1, surface.NbVPoles() + 1)
+                for p in [surface.Pole(i, j)]
+            ]
             for i in range(1, surface.NbUPoles() + 1)
         ]
         found.append(np.array(poles))
@@ -51,14 +53,17 @@ def bernstein(n, t):
 
 
 def evaluated(poles, u, v):
-    """Points and both derivatives of a Bezier patch at parameters (n,)."""
+    """Points and both derivatives of a rational Bezier patch at parameters (n,), by the quotient rule."""
+    poles = np.concatenate([poles[..., :3] * poles[..., 3:], poles[..., 3:]], axis=-1)
     m, n = poles.shape[0] - 1, poles.shape[1] - 1
     a, b = bernstein(m, u), bernstein(n, v)
     da, db = bernstein(m - 1, u), bernstein(n - 1, v)
-    point = np.einsum("ri,rj,ijk->rk", a, b, poles)
+    whole = np.einsum("ri,rj,ijk->rk", a, b, poles)
     along = m * np.einsum("ri,rj,ijk->rk", da, b, np.diff(poles, axis=0))
     across = n * np.einsum("ri,rj,ijk->rk", a, db, np.diff(poles, axis=1))
-    return point, along, across
+    weight = whole[:, 3:]
+    point = whole[:, :3] / weight
+    return point, *((one[:, :3] - point * one[:, 3:]) / weight for one in (along, across))
 
 
 def met(poles, start, way):
@@ -93,7 +98,7 @@ def best_focus(place, way, low, high):
 
 def through_cells(found, cells, index):
     """Parallel light through the cells of some columns, of the row nearest to the axis: places and ways behind the part."""
-    middles = np.array([0.5 * (p[0, 0] + p[-1, -1]) for p in found])
+    middles = np.array([0.5 * (p[0, 0, :3] + p[-1, -1, :3]) for p in found])
     heights = middles[:, 2]
     front, back = (np.flatnonzero(side) for side in (heights < heights.mean(), heights > heights.mean()))
     rng = np.random.default_rng(7)

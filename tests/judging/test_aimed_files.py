@@ -114,8 +114,11 @@ FORMS = {
             "lattice.aperture": {"point": [-12, 5, -600]}, "check.law_rms": "2 mrad", "check.law_bias": "2 mrad",
         }
     ),
+    "aimed glens": DESIGN.replace(
+        {"law.varying": {"gradient": [[-0.004, 0.001], [-0.002, -0.003]]}, "lattice.aperture": {"point": [-10, 10, -400]}, "check.law_bias": "0.5 mrad"}
+    ),
 }  # fmt: skip
-"""Of one body, and of two."""
+"""Of one body, of two, and with a law and a chief ray of its own in every cell."""
 
 
 def one_lens_moved(window, by=(0.01, 0.0)):

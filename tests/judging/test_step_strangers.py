@@ -334,7 +334,7 @@ def rippled(shape, height):
     from OCP.gp import gp_Pnt
     from OCP.TopAbs import TopAbs_FACE
 
-    from clacad.formats.step.shape_parts import explored
+    from clacad.solid.occ_writer import explored
 
     for face in explored(shape, TopAbs_FACE):
         surface = BRep_Tool.Surface_s(face)

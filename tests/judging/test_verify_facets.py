@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from oracle.plain_mesh import facets, sheet_facets
@@ -77,7 +79,8 @@ def test_no_ray_slips_between_two_facets():
     aim = np.column_stack([gx[1:-1, 1:-1].ravel(), gy[1:-1, 1:-1].ravel(), np.zeros(49)])
     aim = np.concatenate([aim, aim + [0.125, 0, 0], aim + [0, 0.125, 0], aim + [0.125, 0.125, 0]])
     direction = np.tile(np.array([0.1, -0.05, 1.0]) / np.linalg.norm([0.1, -0.05, 1.0]), (len(aim), 1))
-    result = trace_facets((FacetBody(plate[0], plate[1], 1.5),), Rays(aim - direction, direction))
+    glass = replace(prescribe(PLAIN).bodies[0], index=1.5)
+    result = trace_facets((FacetBody(plate[0], plate[1], glass),), Rays(aim - direction, direction))
     assert (result.fate == Fate.ALIVE).all()
     np.testing.assert_allclose(result.direction, direction, atol=1e-15)
 

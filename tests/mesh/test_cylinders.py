@@ -16,7 +16,7 @@ from clacad.mesh import count_facets, tessellate
 from clacad.mesh.tessellation import slope_error_at
 from clacad.sheet.bundle import bundle
 from clacad.sheet.stack import stacked
-from clacad.stacking.stack_light import launched
+from clacad.tracing.through_stack import launched
 
 ROOT = Path(__file__).parents[2]
 KEYS = {"law.eta": [-1.0, 1.0], "lattice.kind": "rectangular", "lattice.pitch": [0.5, 6.0], "lattice.count": [6, 3],

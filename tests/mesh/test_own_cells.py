@@ -103,6 +103,32 @@ def test_bodies_of_cells_that_differ_are_closed_and_enclose_what_the_faces_do(ch
         )  # the error of chords falls as the square of their length
 
 
+def test_the_volume_of_many_cells_is_that_of_their_paraboloids():
+    """Over a square of side p about its centre, c ((x − m)² + (y − n)²) / 2 has the mean c (p²/6 + m² + n²) / 2."""
+    window = built(pair={**AIMED["pair"], "conic": [-1.0, -1.0]}, lattice__count=[31, 20])
+    (body,) = window.bodies
+    cells = window.lattice.cells()
+    exact = 0.0
+    for face, sign in ((body.front, -1.0), (body.back, 1.0)):
+        at = window.vertices(face, cells)
+        c, (p, q) = face.side * face.surface.curvature_x, window.lattice_of(face.array).pitch
+        mean = (p * p + q * q) / 12.0 + (at[:, :2] ** 2).sum(axis=1)
+        exact += sign * p * q * float((at[:, 2] + 0.5 * c * mean).sum())
+        exact += sign * face.land * (window.outline.width * window.outline.height - len(cells) * p * q)
+    found = body_volume(window, body)
+    assert found.value == pytest.approx(exact, rel=1e-13)
+    assert found.error < 1e-12 * exact
+
+
+def test_the_volume_of_many_cells_is_the_sum_of_each(monkeypatch):
+    window = built(lattice__count=[31, 20])
+    (body,) = window.bodies
+    found = body_volume(window, body)
+    monkeypatch.setattr("clacad.sheet.cell_heights.DEGREES", ())
+    each = body_volume(window, body)
+    assert found.value == pytest.approx(each.value, abs=found.error + each.error)
+
+
 def test_columns_whose_faces_meet_inside_a_cell_have_no_volume_in_closed_form():
     window = built(pair={**THIN, "offset": "paraxial"}, lattice__seam=0.04)
     assert [body_volume(window, body) is None for body in window.bodies] == [False, True]
@@ -146,7 +172,9 @@ def test_the_mesh_of_cells_that_differ_is_the_same_every_time_and_in_any_order()
 
     window = built(lattice__kind="hexagonal")
     first, second = tessellate(window, quads=4), tessellate(built(lattice__kind="hexagonal"), quads=4)
-    second.bodies[0].tiled[-1].maker_at(*window.lattice.cells()[-1].tolist())  # another cell is made first
+    second.bodies[0].tiled[-1].own.rare.at(
+        tuple(window.lattice.cells()[-1].tolist())
+    )  # another cell is made first
     assert digest(first) == digest(second) == digest(first)
     assert abs(first.bodies[0].facets_about / first.bodies[0].facet_count - 1.0) < 0.1
 
@@ -179,3 +207,25 @@ def test_bevels_at_saddles_are_refused_where_cells_differ():
 
     with pytest.raises(CellsDiffer, match="CL139.*bevel"):
         tessellate(built(), quads=4, saddle_bevel=0.01)
+
+
+@pytest.mark.parametrize(
+    "name", ["slab", "law that varies, hexagonal", "law that varies, tilted", "columns in a border"]
+)
+def test_cells_made_in_a_batch_are_those_cut_one_by_one(name, monkeypatch):
+    from clacad.mesh.cell_batch import OwnMeshCells
+
+    many = [np.concatenate(list(body.rows())) for body in tessellate(built(**SHEETS[name]), quads=4).bodies]
+    batch = OwnMeshCells.batch
+    kept = []
+
+    def without_regular(self, cells):
+        made = batch(self, cells)
+        kept.append(made.regular.copy())
+        made.regular[:] = False
+        return made
+
+    monkeypatch.setattr(OwnMeshCells, "batch", without_regular)
+    single = [np.concatenate(list(body.rows())) for body in tessellate(built(**SHEETS[name]), quads=4).bodies]
+    assert np.concatenate(kept).mean() > 0.4
+    assert all(np.array_equal(a, b) for a, b in zip(many, single, strict=True))

@@ -19,7 +19,6 @@ from clacad.optics.law.focusing import (
     focusing_at,
     imaging,
     imaging_scaled,
-    moire_magnification,
     refract_each,
 )
 
@@ -81,7 +80,6 @@ def test_published_superlenses(case):
     lens = Superlens((p1, p2), (f1, f2))
     for name in ("eta", "kappa", "f_image", "f_object", "nodal_z", "moire_period", "zone_period", "f_number"):
         assert getattr(lens, name) == pytest.approx(float(case[name]), rel=1e-12), name
-    assert moire_magnification(p1, p2, 0.0) == pytest.approx(p1 / abs(p2 - p1), rel=1e-12)
 
 
 @pytest.mark.parametrize("case", cases("gabor.json", lambda c: "focused" in c))
@@ -151,7 +149,6 @@ def test_a_sheet_made_for_two_planes_images_one_to_the_other():
 def test_parallel_light_is_the_limit_of_far_points():
     glens, far = Glens(-0.25, -0.005, 10.0, 0.01), -1e14
     assert glens.image_distance(-inf) == glens.f_image == pytest.approx(glens.image_distance(far), rel=1e-11)
-    assert glens.image_x_of_parallel(0.03) == pytest.approx(glens.image_x(0.03 * far, far), rel=1e-11)
     assert glens.width(-inf, 0.5) == 0.125
 
 

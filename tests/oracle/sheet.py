@@ -34,8 +34,10 @@ def trace(window, start, direction):
     with mp.workdps(DIGITS):
         position, ray = [mpf(float(v)) for v in start], surfaces.unit([mpf(float(v)) for v in direction])
         path, length = Path(), mpf(0)
-        for body in window.bodies:
-            for face, before, after in ((body.front, 1.0, body.index), (body.back, body.index, 1.0)):
+        behind = [*(body.index if body.joined else 1.0 for body in window.bodies[1:]), 1.0]
+        for body, beyond in zip(window.bodies, behind):
+            front = [] if body.joined else [(body.front, 1.0, body.index)]  # a joint is met once
+            for face, before, after in (*front, (body.back, body.index, beyond)):
                 met = _first(window, face, position, ray, before, after)
                 if met is None:
                     path.fate = "MISSED"
@@ -92,6 +94,8 @@ def _first(window, face, position, ray, before, after):
         centre = [c + s for c, s in zip(_centre(window, cell, face.array), shift)]
         moved = _moved(window, face, cell)
         rise = sum(mpf(float(s)) * m for s, m in zip(face.change.slope, moved)) if face.change else mpf(0)
+        if face.change:
+            rise += sum(mpf(float(s)) * c for s, c in zip(face.change.climb, _centre(window, cell, 0)))
         apex = [*(c + m for c, m in zip(centre, moved)), rise]
         met = _through(face, apex, position, ray, before, after, cell, _size(window, face, cell))
         if met is None or not _kept(window, cell):
@@ -103,16 +107,18 @@ def _first(window, face, position, ray, before, after):
 
 
 def _through(face, centre, position, ray, before, after, cell, size=1):
-    kind = "biconic" if hasattr(face.surface, "conic_x") else "quadric"
     one = face.surface
+    kind = "polynomial" if hasattr(one, "a4") else "biconic" if hasattr(one, "conic_x") else "quadric"
     cx, cy = (mpf(c) / size for c in (one.curvature_x, one.curvature_y))
     shape = (
         (cx, cy, one.conic_x, one.conic_y, one.side)
-        if kind == "biconic"
+        if kind != "quadric"
         else (cx, cy, mpf(one.kappa) / size, 0.0, one.side)
     )
     vertex = [centre[k] + mpf(float(face.vertex[k])) for k in (0, 1, 2)]
-    placed = surfaces.Face(kind, shape, (0.0, 0.0, 0.0), before, after, rotation=face.rotation)
+    terms = () if kind != "polynomial" else (*one.a4, *one.a6, *one.a8)
+    terms = tuple(mpf(a) / size ** (m + n - 1) for a, (m, n) in zip(terms, surfaces.POWERS))
+    placed = surfaces.Face(kind, shape, (0.0, 0.0, 0.0), before, after, rotation=face.rotation, terms=terms)
     placed = replace(placed, vertex=vertex)
     path = surfaces.trace([placed], position, ray)
     if path.status == "missed":

@@ -9,6 +9,7 @@ import pytest
 from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import feasibility
+from clacad.sheet.window import lens_height
 from clacad.verification import design_checks
 
 WEB = 0.1
@@ -54,6 +55,20 @@ def test_cells_of_array_2_of_another_shape_are_covered_too():
     assert [lens.corner for lens in facts.lenses[:2]] == pytest.approx([WEB, WEB], rel=1e-9)
     checks = [c for c in design_checks(design, window, facts) if c.id == "cover"]
     assert [c.state for c in checks] == ["pass", "pass"]
+
+
+@pytest.mark.parametrize("angle", [0, 3])
+def test_outer_cells_of_a_sheet_aimed_at_a_near_point_are_covered_also_under_tilt(angle):
+    """Vertices of lens 2 lie .28 from the middle of the outermost cells, and .52 aside under 3 degrees."""
+    aim = {"lattice": BICONVEX["lattice"] | {"count": [12, 3], "aperture": {"point": [0, 0, -200]}}}
+    design = Design.from_dict(BICONVEX | aim | {"law": {"eta": [-1, -1], "euler": [0, angle, 0]}})
+    window = prescribe(design)
+    body = window.bodies[1]
+    for cell in window.lattice.cells():
+        front, back = (window.in_cell(face, cell) for face in (body.front, body.back))
+        x, y = (window.lattice_of(1).tile() * (1.0 - 1e-9)).T
+        low, high = (lens_height(face, x, y) for face in (front, back))
+        assert (high - low).min() > 0.95 * WEB
 
 
 @pytest.mark.slow

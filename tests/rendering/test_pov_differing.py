@@ -64,7 +64,11 @@ DESIGNS["the middle of one aimed steeply"] = (
     "window-100mm",
     DESIGNS["aimed steeply"][1] | {"lattice.count": [40, 40]},
 )
-VIEWS = {"aimed steeply": ([11, 0, 0], 3.0), "the middle of one aimed steeply": ([0.07, 0.05, 0], 3.03)}
+VIEWS = {
+    "aimed steeply": ([11, 0, 0], 3.0),
+    "the middle of one aimed steeply": ([0.07, 0.05, 0], 3.03),
+    "aimed biconvex": ([0, 0, 0], 7.1),  # at 7.0 a row of pixels lies along the edge of a row of lenses
+}
 """Point and width of a camera's view; lenses at the rim lie lower than those in the middle."""
 
 

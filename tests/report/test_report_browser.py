@@ -203,3 +203,17 @@ def test_on_a_telephone_nothing_is_wider_than_the_screen(chromium, address):
         assert told.startswith('"limit')
     finally:
         chromium.ask("Emulation.clearDeviceMetricsOverride")
+
+
+def test_passed_checks_are_folded_on_the_screen_and_shown_on_paper(page):
+    states = "document.querySelector('details.passed').open"
+    assert page.run(states) is False
+    assert page.run("document.querySelectorAll('details.passed tr.pass').length") > 5
+    assert page.run("document.querySelectorAll('tr.fail').length") == page.run(
+        "[...document.querySelectorAll('tr.fail')].filter(row => !row.closest('details')).length"
+    )
+    page.ask("Emulation.setEmulatedMedia", media="print")
+    try:
+        assert page.run("document.querySelector('details.passed table').getBoundingClientRect().height") > 100
+    finally:
+        page.ask("Emulation.setEmulatedMedia", media="")

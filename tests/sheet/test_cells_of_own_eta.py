@@ -15,9 +15,9 @@ from clacad.mesh import check_closed, tessellate
 from clacad.mesh.body_mesh import facet_tags
 from clacad.mesh.cell_template import BACK, FRONT
 from clacad.optics.rays import Fate
+from clacad.sheet.cell_heights import highest_step
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.like_cell import like_cell
-from clacad.sheet.own_steps import highest_step
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import partner_share
 from clacad.sheet.volume_and_extent import body_volume
@@ -106,6 +106,57 @@ def test_each_pair_is_afocal_with_exactly_its_own_eta(tmp_path, form):
         (_, _), (bends, magnifies) = matrix(window, cell)
         assert abs(bends) * 0.25 < 3e-14
         assert magnifies == pytest.approx(1.0 / eta, rel=1e-12)
+
+
+def test_given_faces_of_a_cell_are_those_of_the_design_scaled_with_its_eta(tmp_path):
+    """A polynomial h(r) becomes k h(r/k); the pair of the law's eta is left as it is given."""
+    given = [
+        {"radius": 2.468, "conic": -0.5, "a4": [1e-3, 0, 2e-3], "a6": [-2e-4] * 4},
+        {"radius": 2.468, "a4": [2e-3] * 3},
+    ]
+    window = built(tmp_path, pair__prescription="given", pair__face=given, pair__surface=None)
+    x, y = np.array([0.1, -0.2, 0.05]), np.array([0.15, 0.0, -0.22])
+    for cell in window.lattice.cells()[[0, 20, -1]]:
+        eta = window.law_at(cell).eta_x
+        (_, _), (bends, magnifies) = matrix(window, cell)
+        assert abs(bends) < 1e-4
+        assert magnifies == pytest.approx(1.0 / eta, rel=1e-3)
+        for face, size in zip(window.faces, (2.0 / (1.0 - eta), -2.0 * eta / (1.0 - eta)), strict=True):
+            own = window.in_cell(face, cell)
+            vx, vy, vz = own.vertex
+            here = face_height(window, face, x, y, np.broadcast_to(cell, (3, 2)))
+            there = vz + size * face.surface.sag((x - vx) / size, (y - vy) / size)
+            assert np.abs(here - there).max() < 1e-14
+
+
+def test_the_depth_of_lenses_scales_with_them(tmp_path):
+    window = built(tmp_path, pair__surface=None, pair__depth=[2.4, 3.0])
+    for cell in window.lattice.cells()[[0, -1]]:
+        eta = window.law_at(cell).eta_x
+        sizes = 2.0 / (1.0 - eta), -2.0 * eta / (1.0 - eta)
+        for face, depth, size in zip(window.faces, (2.4, 3.0), sizes, strict=True):
+            kappa = window.in_cell(face, cell).surface.kappa
+            assert abs(kappa) * depth * size == pytest.approx(1.0, rel=1e-14)
+
+
+@pytest.mark.parametrize("delta", [still, sloping])
+def test_the_thickness_that_is_found_is_that_of_the_lens_with_the_least_radius(tmp_path, delta):
+    """Two equal spheres of radius R meet the web at the farthest corner: T = web + 2 (R - sqrt(R^2 - rho^2))."""
+    web = 0.1
+    window = built(
+        tmp_path, spread(-0.9, -1.3), delta, pair__form="biconvex", pair__surface=None, pair__web=web
+    )
+    for array, thickness in enumerate(window.recipe["T"]):
+        needed = []
+        for cell in window.lattice.cells():
+            face = window.in_cell(window.bodies[array].front, cell)
+            radius = 1.0 / face.surface.curvature_x
+            rho = np.hypot(0.25 + abs(face.vertex[0]), 0.25 + abs(face.vertex[1]))
+            needed.append(web + 2.0 * (radius - np.sqrt(radius**2 - rho**2)))
+        if delta is still or array == 0:
+            assert thickness == pytest.approx(max(needed), rel=1e-9)
+        else:  # traced vertices move after the thickness is found
+            assert thickness == pytest.approx(max(needed), rel=1e-3)
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -311,6 +362,7 @@ PRESENT = {
     "given faces": {"pair__prescription": "given", "pair__face": [{"radius": 2.468}, {"radius": 2.468}], "pair__surface": None},
     "eta_x and eta_y that differ": {"law__eta": [-1.0, -0.9]}, "depth of a lens": {"pair__surface": None, "pair__depth": [2.4, 2.4]},
     "biconvex of a thickness to be found": {"pair__form": "biconvex", "pair__surface": None},
+    "field lens": {"pair__field_lens": True, "pair__surface": None},
 }  # fmt: skip
 ELSEWHERE = {f.name for f in FEATURES} - set(PRESENT)
 """Features that exclude a table of cells and are refused before it is read; law.delta and law.varying are its own."""

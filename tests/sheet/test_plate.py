@@ -19,6 +19,7 @@ from clacad.sheet.plate import (
     least_land,
     plate_of_circle,
     plate_of_rectangle,
+    whole_cells,
 )
 from clacad.sheet.plate_edges import next_crossing
 from clacad.tracing.compiled.array_cells import in_plate, next_edge
@@ -138,7 +139,7 @@ def test_cells_of_a_displaced_array_lie_inside_too():
     alone = Lattice("square", (0.7, 0.7), (18, 18), PLATE)
     tile, room = alone.tile(), PLATE.room((0.7, 0.7))
     here = alone.cells()
-    there = PLATE.holds(tile, alone.centres(here) + (0.33, -0.21), room)
+    there = whole_cells(PLATE, tile, alone.centres(here) + (0.33, -0.21), room)
     assert (both == here[there]).all()
     assert 0 < len(both) < len(here)
 

@@ -13,13 +13,15 @@ from mpmath import mp
 from oracle import varying as oracle
 
 import clacad
+from clacad.base.sobol import sobol
 from clacad.design.combinations import BUILT, ETAS, FEATURES, REASONS, SHEETS, matrix
 from clacad.imaging.best_point import best_point
 from clacad.optics.law.focusing import Glens
 from clacad.optics.rays import Fate
+from clacad.sheet.cell_heights import closed_volume, greatest_steps
 from clacad.sheet.cell_places import CellLaws
 from clacad.sheet.like_cell import like_cell
-from clacad.sheet.own_steps import greatest_steps
+from clacad.sheet.vignetting import aperture_slopes
 
 DATA = Path(__file__).parents[1] / "data"
 BASE = {
@@ -156,6 +158,72 @@ def test_the_best_point_is_that_of_a_plain_least_squares_in_fifty_digits():
     assert np.isnan(best_point(p, np.tile(d[0], (40, 1))).point).all()
 
 
+@pytest.mark.parametrize("delta", [[0.0, 0.0], [0.01, -0.02]])
+@pytest.mark.parametrize("planes", [{"f_image": 200}, {"conjugates": {"object": -300, "image": 250}}])
+def test_light_of_the_axis_meets_in_one_point_behind_a_sheet_inclined_to_its_lenses(planes, delta):
+    window = built(law__euler=[20, 7, -5], law__delta=delta, law__varying=planes, lattice__count=[7, 6])
+    axis, cells = window.law.rotation[:, 2], window.lattice.cells()
+    middle = np.column_stack([window.lattice.centres(cells), np.zeros(len(cells))])
+    way = middle + 300 * axis if "conjugates" in planes else np.tile(axis, (len(cells), 1))
+    away = planes.get("f_image") or planes["conjugates"]["image"]
+    image = [away * delta[0], away * delta[1], 10 + away]  # eta = -1: t' = -(t - delta)
+    start = middle - 0.5 * way / np.linalg.norm(way, axis=1)[:, None]
+    for rung, off, wide in (("thin", 1e-11, 1e-12), ("surfaces", 0.02, 0.02)):
+        seen = clacad.trace(window, clacad.Rays(start, way), rung=rung, path="numpy")
+        met = best_point(seen.position, seen.direction)
+        point = np.array(met.point) @ window.law.rotation
+        assert np.abs(point[:2] - image[:2]).max() < off
+        assert max(met.spot) < wide
+        if rung == "thin":
+            assert point[2] == pytest.approx(image[2], rel=1e-12)
+
+
+@pytest.mark.parametrize("form", ["slab", "biconvex"])
+@pytest.mark.parametrize("sheet", [{"lattice__pitch_2": 0.4975}, {"lattice__rotation_2": "0.3 deg"}])
+def test_tilted_lenses_of_another_pitch_rise_with_their_places_and_keep_their_separation(sheet, form):
+    more = {} if form == "slab" else {"pair__surface": None, "pair__thickness": 1.5}
+    window = built(law__varying=None, law__euler=[20, 5, 0], pair__form=form, **more, **sheet)
+    cells, axis = window.lattice.cells(), window.law.rotation[:, 2]
+    apart = window.vertices(window.faces[-1], cells) - window.vertices(window.faces[0], cells)
+    apart[:, :2] += window.centres(1, cells) - window.centres(0, cells)
+    assert np.ptp(apart[:, 2]) > 1e-4
+    assert np.ptp(apart @ axis) < 1e-13
+    ideal = window.thin.lenses(1, window.lattice, cells)
+    assert np.ptp(ideal.raised(np.zeros(len(cells)))) == pytest.approx(np.ptp(apart[:, 2]), rel=0.02)
+
+
+@pytest.mark.parametrize("sheet", ["lattice.pitch_2", "lattice.rotation_2", "pair.focus"])
+def test_traced_lenses_of_another_pitch_send_the_mean_of_chief_light_where_the_law_asks(sheet):
+    worst = {}
+    for offset in ("paraxial", "traced"):
+        window = built(**{**SHEET[sheet], "pair__offset": offset})
+        cells = window.lattice.cells()[::13]
+        quarter = window.lattice.over_cell(sobol(64, 2)) * 0.97
+        points = np.concatenate([quarter * signs for signs in ((1, 1), (-1, 1), (1, -1), (-1, -1))])
+        for cell, slope in zip(cells, aperture_slopes(window, cells), strict=True):
+            ray = np.array([*slope, 1.0])
+            start = np.column_stack([window.lattice.centres(cell) + points, np.zeros(256)]) - ray
+            seen = clacad.trace(window, clacad.Rays(start, ray), path="numpy")
+            assert (seen.fate == Fate.ALIVE).all()
+            mean = seen.direction.mean(axis=0)
+            off = np.abs(mean / np.linalg.norm(mean) - window.law_at(cell).refract(ray)).max()
+            worst[offset] = max(off, worst.get(offset, 0.0))
+    assert worst["paraxial"] > 1e-6
+    assert worst["traced"] < 0.2 * worst["paraxial"]  # lenses are traced for all of the cell, not .97 of it
+
+
+@pytest.mark.parametrize("sheet", ["lattice.aperture", "law.varying", "lattice.pitch_2"])
+def test_best_radii_of_a_non_uniform_sheet_are_those_of_its_middle_cell(sheet):
+    best = {"pair__confocal": "best", "pair__surface": None}
+    window = built(**{**SHEET[sheet], **best})
+    alike = built(law__varying=None, **best)
+    assert window.recipe["scale"] == pytest.approx(alike.recipe["scale"], rel=1e-12)
+    assert window.recipe["law_rms_end"] < window.recipe["law_rms_start"]
+    assert not window.uniform
+    for mine, other in zip(window.faces, alike.faces, strict=True):
+        assert mine.surface.curvature_x == pytest.approx(other.surface.curvature_x, rel=1e-12)
+
+
 def test_cells_like_one_of_a_sheet_are_that_cell():
     window = built(lattice__count=[12, 12])
     for cell in ([0, 0], [11, 3]):
@@ -208,7 +276,7 @@ def test_a_table_gives_each_cell_its_own_law_and_the_design_its_hash(tmp_path):
 
 PRESENT = {
     "hexagonal cells": {"lattice__kind": "hexagonal"}, "seam": {"lattice__seam": 0.05}, "outline": {"lattice__outline": {"circle": 4}},
-    "tilt": {"law__euler": [0, 3, 0]}, "tilt where planes are imaged": {"law__euler": [0, 3, 0], "law__varying": {"f_image": 200}}, "offset": {"law__delta": [0.01, 0.0]},
+    "tilt": {"law__euler": [0, 3, 0]}, "offset": {"law__delta": [0.01, 0.0]},
     "biconvex": {"pair__form": "biconvex", "pair__surface": None}, "plano": {"pair__form": "plano"}, "slab": {},
     "given faces": {"pair__prescription": "given", "pair__face": [{"radius": 2.468}, {"radius": 2.468}], "pair__surface": None},
     "tolerances": {"tolerances__index": 0.001}, "aimed at a point": {"lattice__aperture": {"point": [0, 0, -400]}},
@@ -302,6 +370,28 @@ def test_sheets_of_one_law_have_the_text_and_hash_they_had():
     assert "varying" not in made.canonical_toml()
     assert clacad.prescribe(made).cell_laws is None
     assert made.law_at((0, 0)) == made.law
+
+
+@pytest.mark.parametrize("kind", ["square", "hexagonal"])
+def test_closed_steps_miss_what_the_flux_of_open_faces_lacks_of_a_volume(kind):
+    window = built(law__varying=None, pair__focus={"object": -300, "image": 400}, pair__offset="traced",
+                   lattice__count=[4, 3], lattice__kind=kind)  # fmt: skip
+    face, lattice, cells = window.faces[1], window.lattice_of(1), window.lattice.cells()
+    tile, (nodes, weights) = lattice.tile(), np.polynomial.legendre.leggauss(20)
+    missed = 0.0
+    for cell, at in zip(cells, window.centres(1, cells), strict=True):
+        for k, (one, two) in enumerate(zip(tile, np.roll(tile, -1, axis=0), strict=True)):
+            if window.lattice.contains(cell + np.array(lattice.steps[k])):
+                points = one + 0.5 * (1.0 + nodes)[:, None] * (two - one)
+                moved = points - window.vertices(face, cell)[:2]
+                height = -(moved**2).sum(axis=1) * face.surface.curvature_x / (
+                    1.0 + np.sqrt(1.0 - (1.0 + face.surface.conic_x) * (face.surface.curvature_x**2) * (moved**2).sum(axis=1)))  # fmt: skip
+                way = two - one
+                apart = abs(way @ [at[1] + one[1], -(at[0] + one[0])])
+                outward = np.sign(lattice.offset(*lattice.steps[k]) @ (at + one))
+                missed += 0.5 * weights @ height * apart * outward / 3.0
+    assert closed_volume(window, face, 1e-5) == pytest.approx(missed, rel=0.01)
+    assert closed_volume(window, face, 1e-9) == 0.0
 
 
 @pytest.mark.parametrize("kind", ["square", "hexagonal"])

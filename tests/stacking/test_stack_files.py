@@ -17,8 +17,11 @@ from clacad.checks.check import Check, passed
 from clacad.cli import main
 from clacad.sheet.stack import stacked
 from clacad.stacking import stack
+from clacad.stacking.assembly import StackAssembly
 from clacad.stacking.judge_stack import judge_stack
+from clacad.storage.atomic import Stage
 from clacad.storage.errors import ExportRefused
+from clacad.storage.worker import Worker
 
 ROOT = Path(__file__).parents[2]
 FILE = ROOT / "designs" / "window-100mm.toml"
@@ -115,6 +118,40 @@ def test_sheets_of_two_and_of_three_bodies_stand_in_one_assembly(tmp_path: Path)
     assert "10 faces" in light.sentence
     assert light.value is not None
     assert float(light.value) < 1e-10
+
+
+UNEVEN = [
+    {"law.varying.f_image": 200},
+    {"lattice.aperture": {"point": [0, 0, -400]}, "law.varying.f_image": -300, "pair.field_lens": True},
+]
+
+
+@pytest.mark.slow
+def test_sheets_whose_cells_differ_are_one_assembly_of_both_formats(tmp_path: Path) -> None:
+    designs = [DESIGN.replace({"check.process": "none", "lattice.count": [4, 4], **keys}) for keys in UNEVEN]
+    made = stack(designs, 20.0, tmp_path, rays=256, quads=4, field=FIELD)
+    checks = judge_stack(made.stack, designs, tmp_path, FIELD, lambda *_: None)
+    assert passed(checks), [(c.id, c.subject, c.sentence) for c in checks if c.state not in ("pass", "warn")]
+    assert {c.subject for c in checks if c.id == "shape"} >= {
+        "stack.glb",
+        "stack.step sheet a",
+        "stack.step sheet b",
+    }
+
+
+def test_glb_of_sheets_whose_cells_differ_is_forecast_and_holds_each_sheet_in_its_place(
+    tmp_path: Path,
+) -> None:
+    from clacad.stacking.make_stack import StackRequest, rows
+
+    window = clacad.prescribe(DESIGN.replace({"check.process": "none", "lattice.count": [4, 4], **UNEVEN[0]}))
+    placed = stacked([window, window], [20.0])
+    with Stage(tmp_path, overwrite=False) as stage:
+        job = StackAssembly(placed, stage, Worker(), 4, "auto", lambda *_: None)
+        (record,) = job.records(("glb",))  # compares what it writes with both sheets
+    assert record.facts["triangles"] > 2 * 2 * 16 * 2 * 16
+    (row,) = rows(placed, StackRequest((20.0,), ("glb",), quads=4))
+    assert row.bytes == pytest.approx(record.bytes, rel=0.2)
 
 
 @pytest.mark.slow

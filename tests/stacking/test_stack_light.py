@@ -18,9 +18,8 @@ from clacad.base.sobol import sobol
 from clacad.sheet.stack import BadStack, StackedSheet, lens_planes, stacked, standing
 from clacad.stacking import chief_matrices, stack
 from clacad.stacking.chief_matrices import meridian
-from clacad.stacking.stack_image import measure_image, nearest_point
-from clacad.stacking.stack_light import launched, measure_light
-from clacad.tracing.through_stack import StackTracer, trace_stack
+from clacad.stacking.stack_light import measure_image, measure_light, nearest_point
+from clacad.tracing.through_stack import StackTracer, launched, trace_stack
 
 ROOT = Path(__file__).parents[2]
 GOLDEN = json.loads((ROOT / "tests" / "data" / "stack.json").read_text(encoding="utf-8"))
@@ -70,12 +69,12 @@ def thin_share_by_hand(etas, gap, count=2000):
     ("etas", "product", "column"),
     [((-1.0, -1.0), 1 - 0.4 + 0.16 / 3, 0), ((0.2, 5.0), 1 / 5, 2)],  # ⟨(1 − 20|t|)²⟩; all, then a fifth
 )
-def test_shares_of_thin_lenses_in_the_readme_are_those_of_plain_rays(etas, product, column):
+def test_shares_of_thin_lenses_in_the_documentation_are_those_of_plain_rays(etas, product, column):
     """Two sheets 100 mm apart: rays find less than the product of what each sheet passes of a direction."""
     rays = thin_share_by_hand(etas, 100.0)
     assert rays < product
-    lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
-    for name, share in (("thin lenses, by rays", rays), ("thin sheet passes, in closed form", product)):
+    lines = (ROOT / "docs/how-to/stack.md").read_text(encoding="utf-8").splitlines()
+    for name, share in (("thin lenses, by rays", rays), ("shares of the thin sheets, closed form", product)):
         printed = next(line for line in lines if name in line).split("|")[2 + column]
         assert [float(part) for part in printed.split(";")] == [round(share, 3), round(share**2, 3)]
 

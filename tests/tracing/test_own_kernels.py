@@ -5,11 +5,13 @@ import sys
 
 import numpy as np
 import pytest
+from hard import differing
 
 import clacad
 from clacad.formats.mesh.stl import write_stl
 from clacad.mesh import tessellate
 from clacad.optics.rays import Fate
+from clacad.tracing import which_path
 
 SCENE = """
 import sys
@@ -31,8 +33,8 @@ print(" ".join(sorted(name for name in sys.modules if name.startswith("clacad.")
 """
 
 OF_OWN_CELLS = {
-    "clacad.tracing.compiled.own_cells", "clacad.mesh.own_cells", "clacad.sheet.own_steps",
-    "clacad.prescription.aimed_cells", "clacad.prescription.varying_cells",
+    "clacad.mesh.compiled_walls", "clacad.sheet.cell_heights",
+    "clacad.prescription.aimed_cells", "clacad.prescription.cells",
     "clacad.prescription.traced_vertices", "clacad.prescription.sharp_pairs", "clacad.tracing.facets.own_sheet",
 }  # fmt: skip
 
@@ -46,6 +48,52 @@ def loaded(paths):
 
 def test_a_homogeneous_scene_loads_no_code_of_cells_that_differ():
     assert not loaded(["numpy"]) & OF_OWN_CELLS
+
+
+SHEETS = {
+    "aimed, vertices traced": {**differing.aimed(-400.0), "pair.offset": "traced"},
+    "pitch of array 2": differing.pitched(1.002),
+    "hexagonal, seam, aimed": {**differing.aimed(-400.0), "lattice.kind": "hexagonal", "lattice.seam": 0.02},
+    "tilted lenses, aimed": {**differing.TILTED, **differing.aimed(-400.0)},
+    "lenses that rise": differing.LEANING,
+    "a table of offsets": differing.TABLED,
+    "a table of eta": differing.OWN,
+    "a table of eta, biconvex": {**differing.BICONVEX, **differing.OWN},
+}
+
+
+def light_of_all_kinds(window, many=4000):
+    """Rays of a viewer, oblique rays and rays with directions of any length, and some past the edge of the sheet."""
+    rng = np.random.default_rng(1)
+    x0, x1, y0, y1 = window.lattice.extent()
+    at = np.column_stack(
+        [rng.uniform((1.05 * x0, 1.05 * y0), (1.05 * x1, 1.05 * y1), (many, 2)), np.zeros(many)]
+    )
+    slope = at[:, :2] / 400.0 + rng.normal(0.0, 0.004, (many, 2))
+    slope[: many // 4] = rng.normal(0.0, 0.3, (many // 4, 2))
+    slope[many // 4 : many // 2] = rng.normal(0.0, 0.03, (many // 4, 2))
+    way = np.column_stack([slope, np.ones(many)])
+    way[many // 2 :] /= np.linalg.norm(way[many // 2 :], axis=1)[:, None]
+    return clacad.Rays(at - 2.0 * way, way)
+
+
+@pytest.mark.parametrize("rung", ["law", "thin", "surfaces"])
+@pytest.mark.parametrize("name", SHEETS)
+def test_kernels_of_every_rung_give_what_numpy_gives(name, rung):
+    """Offsets by gradient and table, rises, sizes, laws of cells; fates and cells to the last ray."""
+    window = differing.window_of(SHEETS[name])
+    assert not window.uniform
+    assert which_path.has_kernel(rung, window)
+    rays = light_of_all_kinds(window)
+    one, two = (clacad.trace(window, rays, rung, path=path) for path in ("numpy", "numba"))
+    for column in ("fate", "cell", "order", "surface"):
+        np.testing.assert_array_equal(getattr(one, column), getattr(two, column), column)
+    np.testing.assert_allclose(two.direction, one.direction, rtol=0, atol=2e-15)
+    way = np.maximum(window.lattice.pitch[0], np.abs(one.optical_path))
+    size = np.maximum(way[:, None], np.abs(one.position))
+    assert (np.abs(two.position - one.position) <= 1.4e-15 * size).all()
+    assert (np.abs(two.optical_path - one.optical_path) <= 1.4e-15 * way).all()
+    assert len(np.unique(one.fate)) >= (2 if rung == "law" else 3)
 
 
 AIMED = {

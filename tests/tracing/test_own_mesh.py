@@ -13,7 +13,7 @@ from clacad.mesh import tessellate
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.sheet.cell_places import CellPlacement, VertexChange
 from clacad.tracing.facets.own_sheet import told
-from clacad.tracing.facets.triangle_soup import read_soup
+from clacad.tracing.facets.triangle_soup import lay_out_soup, own_soup, read_soup
 
 AIMED = {
     "format": 1, "name": "aimed", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
@@ -259,3 +259,15 @@ def test_a_part_of_a_mesh_sends_light_through_its_cells_as_the_whole_does():
     assert (one.fate == Fate.ALIVE).all()
     assert np.array_equal(one.cell, other.cell)
     assert np.array_equal(one.direction, other.direction)
+
+
+@pytest.mark.parametrize("pair", [AIMED["pair"], BICONVEX])
+def test_bodies_of_the_own_triangles_are_those_found_from_their_pieces(pair):
+    """The mesh knows the body of each triangle; pieces joined at corners give the same bodies."""
+    window = sheet(pair)
+    soup = own_soup(tessellate(window, quads=3), "facet")
+    alone = lay_out_soup(window, replace(soup, owner=None), "facet")
+    told_of = lay_out_soup(window, soup, "facet")
+    assert np.array_equal(alone[1].trees.corner, told_of[1].trees.corner)
+    assert np.array_equal(alone[1].trees.tree, told_of[1].trees.tree)
+    assert len(window.bodies) == len(told_of[1].trees.tree) == 2

@@ -155,7 +155,7 @@ def test_a_window_of_equal_cells_is_uniform_and_the_other_says_what_it_cannot():
     assert not window.uniform
     rays = clacad.Rays([0.0, 0.0, -1.0], [0.0, 0.0, 1.0])
     with pytest.raises(CellsDiffer, match="CL139"):
-        clacad.trace(window, rays, rung="thin", path="numba")
+        clacad.Tracer(window, precision="float32")
     assert clacad.trace(window, rays, effects=("fresnel",)).flux[0] == pytest.approx(0.92, abs=0.01)
 
 

@@ -17,7 +17,7 @@ import clacad
 from clacad.formats.mesh import stl
 from clacad.optics.rays import Rays, TraceResult
 from clacad.tracing import trace as tracers
-from clacad.tracing.facets import tiles as meshes
+from clacad.tracing.facets import triangle_soup as meshes
 from clacad.tracing.facets import triangle_soup as soups
 from clacad.tracing.layout import prepared
 

@@ -241,7 +241,7 @@ def test_a_format_that_the_design_cannot_have_is_said_before_any_is_written(
 @pytest.mark.slow
 def test_a_mistake_of_our_own_is_70_and_v_tells_where(design: Path) -> None:
     broken = "import clacad.sheet.feasibility as f; f.describe = lambda *a: {}['lost']"
-    plain = clacad("check", design, before=broken)
+    plain = clacad("check", "--all", design, before=broken)
     assert plain.status == 70
     assert plain.err.startswith("internal error: KeyError")
     logged = clacad("check", design, "--json", "-v", before=broken)

@@ -142,7 +142,7 @@ clacad.sheet.feasibility.describe = work
     "class Deaf:\n        def __del__(self): wait()\n    Deaf()\n    time.sleep(600)",
 ], ids=["plain", "in executed text", "another error", "an exit", "swallowed", "cannot be raised"])  # fmt: skip
 def test_whatever_a_library_makes_of_an_interruption_it_is_one(design: Path, work: str) -> None:
-    running = started(["check", design], before=WORK.format(work=f"    {work}"))
+    running = started(["check", "--all", design], before=WORK.format(work=f"    {work}"))
     until(running, "ready")
     interrupted(running, signal.SIGINT)
 
@@ -166,7 +166,7 @@ def test_an_ignored_signal_stays_ignored(design: Path) -> None:
     work = "import signal; signal.signal(signal.SIGHUP, signal.SIG_IGN)\n" + WORK.format(
         work="    sys.stderr.write('ready\\n')\n    time.sleep(0.5)\n    sys.stderr.write('went on\\n')\n    return []"
     )
-    running = started(["check", design], before=work)
+    running = started(["check", "--all", design], before=work)
     until(running, "ready")
     running.send_signal(signal.SIGHUP)
     _, said = running.communicate(timeout=HANG)
@@ -203,6 +203,6 @@ def work(*_):
         raise
 clacad.sheet.feasibility.describe = work
 """
-    running = started(["check", design], before=work)
+    running = started(["check", "--all", design], before=work)
     until(running, "ready")
     assert "unwound" not in interrupted(running, signal.SIGINT)

@@ -42,7 +42,7 @@ def scales(folder: Path) -> list[str]:
     chunks = [struct.pack("<II", len(part), kind) + part
               for part, kind in ((text, 0x4E4F534A), (content, 0x004E4942))]  # fmt: skip
     (folder / "part.glb").write_bytes(head + b"".join(chunks))
-    return ["verify", DESIGN, "--files", "part.glb"]
+    return ["verify", DESIGN, "--files", "part.glb", "--all"]
 
 
 def bulge(folder: Path) -> list[str]:

@@ -156,7 +156,7 @@ def test_a_stream_that_lacks_letters_changes_no_status(tmp_path: Path, changes: 
 
 @pytest.mark.slow
 def test_a_full_disk_behind_the_output_is_4_in_one_sentence(tmp_path: Path) -> None:
-    done = shell("check t.toml", "> /dev/full", tmp_path)
+    done = shell("check --all t.toml", "> /dev/full", tmp_path)
     assert done.returncode == 4
     assert done.stderr.strip() == "clacad: no space left on device"
 

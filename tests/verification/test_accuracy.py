@@ -42,6 +42,15 @@ def row(table, rung, **wanted):
 
 
 @pytest.mark.slow
+def test_files_have_their_seconds_of_writing_and_reading(table):
+    timed = [one for one in table.rows if one.write_s is not None]
+    assert {(one.rung, one.quads) for one in timed} == {("mesh", 8), ("mesh", 16), ("step", None)}
+    assert all(one.write_s > 0.0 and one.read_s > 0.0 for one in timed)
+    assert all((one.read_s is None) == (one.write_s is None) for one in table.rows)
+    svg = plot_svg(table)
+    assert svg == plot_svg(table)
+
+
 def test_every_rung_stands_beside_its_error_and_its_seconds(table):
     assert [r.rung for r in table.rows[:4]] == ["law", "thin", "surfaces", "surfaces"]
     assert sum(r.rung == "mesh" for r in table.rows) == 2 * 2 * 2
@@ -177,6 +186,7 @@ def test_the_command_prints_one_json_document_without_nan(capsys):
     assert document["target"]["files"][0]["error"] <= 5e-4
     needed = {
         "model_rms", "model_p95", "model_max", "law_rms", "law_max", "disagree", "seconds", "prepare_s", "rays_per_s",
+        "write_s", "read_s",
         "bytes", "file_bytes", "memory", "triangles", "quads", "normals", "float",
     }  # fmt: skip
     assert all(needed <= set(row) for row in document["rows"])

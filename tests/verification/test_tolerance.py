@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from math import hypot, pi
 
 import numpy as np
@@ -34,6 +35,7 @@ from clacad.verification.tolerance import (
     write_study,
 )
 from clacad.verification.tolerance.farm import NoCluster
+from clacad.verification.tolerance.study import yield_if_tighter
 
 SLAB = {
     "format": 1, "name": "slab", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
@@ -230,6 +232,33 @@ def test_yield_counts_the_sheets_that_keep_every_limit(study):
     assert 0 < good.sum() < 24
     low, high = study.yields()[1:]
     assert 0.0 <= low < good.mean() < high <= 1.0
+
+
+@pytest.mark.parametrize("distribution", ["normal", "uniform"])
+def test_the_yield_at_a_tighter_tolerance_is_that_of_sheets_drawn_with_it(distribution):
+    """The law error is a root mean square of all errors, in place of a trace of each sheet."""
+    made = design(decentre="2 um", roughness="10 nm", distribution=distribution)
+    empty = tolerance(made, 0, rays=64, farm=Farm(1))
+    halves = np.array([p.half for p in empty.parameters])
+    measures = np.zeros((3000, len(MEASURES)))
+    measures[:, list(MEASURES).index("kept")] = 1.0
+
+    def drawn(chosen, seed):
+        errors = np.array([list(draw(chosen, seed, k, distribution).values()) for k in range(3000)])
+        made = measures.copy()
+        made[:, list(MEASURES).index("law_rms")] = 0.4e-3 * np.linalg.norm(errors / halves, axis=1) / 1.2
+        return replace(empty, parameters=tuple(chosen), errors=errors, measures=made)
+
+    loose = drawn(empty.parameters, 1)
+    for factor in (0.8, 0.6):
+        tight = [replace(p, half=factor * p.half) if p.key == "decentre" else p for p in empty.parameters]
+        found, direct = yield_if_tighter(loose, "decentre", factor), drawn(tight, 2).yields()[0]
+        assert direct > loose.yields()[0] + 0.05
+        share = factor * np.sqrt(2.0 - factor**2) if distribution == "normal" else factor
+        count = 3000 * share ** sum(p.key == "decentre" for p in tight)  # effective, of weighted sheets
+        assert abs(found - direct) < 4.0 * np.sqrt(direct * (1.0 - direct) * (1.0 / count + 1.0 / 3000))
+    assert yield_if_tighter(loose, "decentre", 1.0) == pytest.approx(loose.yields()[0])
+    assert yield_if_tighter(loose, "decentre", 0.01) is None
 
 
 @pytest.mark.slow

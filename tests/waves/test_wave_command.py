@@ -31,7 +31,7 @@ def test_the_numbers_are_those_of_python_and_the_picture_is_the_same_bytes(tmp_p
 
 
 def test_the_table_says_which_way_holds_and_what_coherent_light_does(capsys):
-    assert main(["wave", str(DESIGN), "--set", "pair.separation=20"]) == 0
+    assert main(["wave", str(DESIGN), "--set", "pair.separation=20", "--all"]) == 0
     told = capsys.readouterr().out
     assert "Fresnel number 11.36" in told
     assert "holds here: pupil" in told

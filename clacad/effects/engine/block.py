@@ -25,12 +25,8 @@ if TYPE_CHECKING:
 class FaceCrossing:
     """One face and the rays of a block that went through it.
 
-    Attributes
-    ----------
     before, after : (m, 3) unit directions
-    n1, n2 : float
-    through : (m,) bool or None
-        Rays that crossed it; None: all of them.
+    through : (m,) bool or None. Rays that crossed it; None: all of them.
     """
 
     before: Floats
@@ -44,19 +40,12 @@ class FaceCrossing:
 class RayBlock:
     """A block of traced rays for the passes, which change its columns in place.
 
-    Attributes
-    ----------
-    window : Window
-    rays : Rays
-        As launched.
-    result : TraceResult
-        Its direction, position, optical_path and flux may be written; fate, cell, order and surface are
+    rays : As launched.
+    result : Its direction, position, optical_path and flux may be written; fate, cell, order and surface are
         geometry and must not change.
     rung : str
-    wavelength : float or None, metres
-        Of all rays of the block; None: the design wavelength.
-    compiled : bool
-        Whether the tracer uses compiled kernels, so that compiled passes may run.
+    wavelength : float or None, metres. Of all rays of the block; None: the design wavelength.
+    compiled : Whether the tracer uses compiled kernels, so that compiled passes may run.
     """
 
     window: Window
@@ -83,13 +72,7 @@ class RayBlock:
 
     @property
     def air_wavelength(self) -> float:
-        """Wavelength in metres, the window's where the block has none.
-
-        Raises
-        ------
-        ValueError
-            Neither has one.
-        """
+        """Wavelength in metres, the window's where the block has none. Raises ValueError: Neither has one."""
         wavelength = self.wavelength if self.wavelength is not None else self.window.wavelength
         if wavelength is None:
             raise ValueError("this effect needs a wavelength, and neither the rays nor the design have one")
@@ -200,16 +183,9 @@ def traced_of(block: RayBlock) -> Traced:
 def uniform(rays: Rays, count: int, seed: int, salt: int) -> Floats:
     """Numbers in (0, 1), `count` columns per ray.
 
-    Parameters
-    ----------
-    rays : Rays
-        Their bits and their row numbers are the key, so blocks and tiles have different draws.
-    salt : int
-        One for each effect, so that effects draw independently.
-
-    Returns
-    -------
-    (n, count) array
+    rays : Their bits and their row numbers are the key, so blocks and tiles have different draws.
+    salt : One for each effect, so that effects draw independently.
+    Returns (n, count) array.
 
     Notes
     -----

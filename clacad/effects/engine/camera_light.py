@@ -79,16 +79,10 @@ def reflected_paths(
 ) -> LightRays:
     """Paths with at least one partial reflection, of the rays that hit the sheet.
 
-    Parameters
-    ----------
-    rays : Rays
-        n as launched.
-    result : TraceResult
-        Their trace without splitting: n rows.
-    setting : Setting
-        With the effects that are on; `order` is the largest number of reflections in a path.
-    compiled : bool
-        Use compiled code for rays through lenses only; it ends paths at steps, seams and edges.
+    rays : n as launched.
+    result : Their trace without splitting: n rows.
+    setting : With the effects that are on; `order` is the largest number of reflections in a path.
+    compiled : Use compiled code for rays through lenses only; it ends paths at steps, seams and edges.
     """
     left = result.fate < Fate.MISSED
     parts = []
@@ -122,10 +116,7 @@ def known_to_compiled(window: Window, setting: Setting) -> bool:
 def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[LightRays, Bools]:
     """Split paths of the rays that passed lenses only, and which rays (n,) those are.
 
-    Parameters
-    ----------
-    setting : Setting
-        With the effects that are on.
+    setting : With the effects that are on.
     """
     from clacad.effects.engine.compiled_split_paths import Passing, SplitPaths, bounce_pass
     from clacad.tracing.compiled.packing import pack

@@ -20,16 +20,10 @@ GHOST, TIR, MISSED = int(Fate.GHOST), int(Fate.TIR), int(Fate.MISSED)
 class Traced(NamedTuple):
     """Record of a trace, and the refractive indices along it.
 
-    Attributes
-    ----------
-    start, ray : (n, 3)
-        As launched, directions of any length.
-    hits, turns : (f, n, 3)
-        Point at which each face was hit and the direction behind it.
-    fate : (n,) bytes, last : (n,) ints
-        Fate of the ray, and the last face that it hit.
-    media : (f + 1,)
-        Refractive index before the first face and behind each.
+    start, ray : (n, 3). As launched, directions of any length.
+    hits, turns : (f, n, 3). Point at which each face was hit and the direction behind it.
+    fate : (n,) bytes, last : (n,) ints. Fate of the ray, and the last face that it hit.
+    media : (f + 1,). Refractive index before the first face and behind each.
     """
 
     start: Floats
@@ -147,9 +141,8 @@ def carried(field: Vector, before: Vector, after: Vector, n1: float, n2: float) 
     """Carry the field E over a face that deflects the ray D into D'.
 
     Snell's law makes τ_s = τ_p D·D', so that τ_p (D·D' E − (E·D') D) is the field behind the face: its part
-    across
-    the plane of incidence times τ_s, the rest rotated and times τ_p.
-    τ_p² = 4 n1 n2 (n2 c − n1)(n2 − n1 c)/(n2² − n1²)² c².
+    across the plane of incidence times τ_s, the rest rotated and times τ_p. τ_p² = 4 n1 n2 (n2 c − n1)(n2 −
+    n1 c)/(n2² − n1²)² c².
     """
     (a, b, c), (x, y, z), (u, v, w) = field, before, after
     turn = deviation(before, after)
@@ -167,10 +160,7 @@ def polarisation_pass(traced: Traced, analyser: Floats, polariser: Floats, flux:
 
     See `clacad.effects.polarisation`.
 
-    Parameters
-    ----------
-    analyser, polariser : (2,)
-        Directions (cos, sin) of the sheet's x and y; NaN where there is none.
+    analyser, polariser : (2,). Directions (cos, sin) of the sheet's x and y; NaN where there is none.
     """
     ray, turns, index = traced.ray, traced.turns, traced.media
     single = analyser[0] == analyser[0]

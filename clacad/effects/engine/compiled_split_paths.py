@@ -28,14 +28,9 @@ from clacad.tracing.compiled.records import Ray, Vector
 class Passing(NamedTuple):
     """Properties of faces and bodies for light of one wavelength.
 
-    Attributes
-    ----------
-    media : (f + 1,)
-        Refractive index before the first face and behind each.
-    rates : (b,), inverse lengths
-        Attenuation of each body.
-    layer : float
-        0 for bare faces, else design wavelength over wavelength of a quarter-wave layer.
+    media : (f + 1,). Refractive index before the first face and behind each.
+    rates : (b,), inverse lengths. Attenuation of each body.
+    layer : 0 for bare faces, else design wavelength over wavelength of a quarter-wave layer.
     """
 
     media: Floats
@@ -46,10 +41,7 @@ class Passing(NamedTuple):
 class SplitPaths(NamedTuple):
     """Result: for each ray first the f paths back to the camera's side, then the pairs of reflections.
 
-    Attributes
-    ----------
-    position, direction : (m, f (f + 1)/2, 3), flux : (m, f (f + 1)/2)
-        Flux 0 where a path ended.
+    position, direction : (m, f (f + 1)/2, 3), flux : (m, f (f + 1)/2). Flux 0 where a path ended.
     """
 
     position: Floats
@@ -246,16 +238,10 @@ def bounce_pass(
 ) -> None:
     """Split paths of rays that crossed lenses at every face.
 
-    Parameters
-    ----------
-    order : 1 or 2
-        Largest number of reflections in a path.
-    rows : (m,)
-        Rays to split.
-    start : (n, 3)
-        Unit directions as launched.
-    hits, turns : (f, n, 3)
-        Point at which each face was hit, and the direction behind it.
+    order : 1 or 2. Largest number of reflections in a path.
+    rows : (m,). Rays to split.
+    start : (n, 3). Unit directions as launched.
+    hits, turns : (f, n, 3). Point at which each face was hit, and the direction behind it.
     """
     index = passing.media
     for i in range(len(rows)):

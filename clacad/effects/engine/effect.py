@@ -87,18 +87,12 @@ DOUBT = 3.0
 class Bound:
     """Bound of the error made without an effect.
 
-    Attributes
-    ----------
-    angle : float, radians
-        Largest change of direction; 0 for an effect that changes no direction.
+    angle : radians. Largest change of direction; 0 for an effect that changes no direction.
     radiance : float
         Largest relative change of radiance, averaged over the rays; 0 for an effect without losses or gains.
-    why : str
-        One sentence with numbers.
-    cost : float
-        Predicted time of the trace with the effect, over the bare trace.
-    known : bool
-        False: a number needed for the bound is not known, and the effect stays off unless forced.
+    why : One sentence with numbers.
+    cost : Predicted time of the trace with the effect, over the bare trace.
+    known : False: a number needed for the bound is not known, and the effect stays off unless forced.
     """
 
     angle: float
@@ -112,30 +106,18 @@ class Bound:
 class Situation:
     """A window and the light that a picture or a check sends through it.
 
-    Attributes
-    ----------
-    window : Window
-    setting : Setting
-        Parameters of the effects in the scene.
-    rays : Rays
-        Probe rays from the camera, at most `PROBE` used.
-    angle, radiance : float
-        Smallest change that matters: radians, relative radiance.
-    contrast : float
-        Brightest over mean radiance of the scene behind the sheet.
-    front : float
-        Mean radiance on the camera's side of the sheet over that behind the sheet.
-    near, far : float, lengths
-        Range of distances from the camera of visible objects (depth of field).
-    sheet_distance : float, length
-        From the camera to the sheet; inf for parallel light.
-    pixel : float, radians
-        Angle of a pixel; 0 without a camera.
+    setting : Parameters of the effects in the scene.
+    rays : Probe rays from the camera, at most `PROBE` used.
+    angle, radiance : Smallest change that matters: radians, relative radiance.
+    contrast : Brightest over mean radiance of the scene behind the sheet.
+    front : Mean radiance on the camera's side of the sheet over that behind the sheet.
+    near, far : lengths. Range of distances from the camera of visible objects (depth of field).
+    sheet_distance : length. From the camera to the sheet; inf for parallel light.
+    pixel : radians. Angle of a pixel; 0 without a camera.
     spread : float
         Tangent of the half angle of the cone of rays about the middle of the field; 0 for rays of a camera.
-    stand_ins : tuple of ((i, j), Situation)
-        For a non-uniform sheet: uniform equivalents of some cells, with the light that reaches them; see
-        `stand_ins`.
+    stand_ins : tuple of ((i, j), Situation). For a non-uniform sheet: uniform equivalents of some cells, with
+        the light that reaches them; see `stand_ins`.
     """
 
     window: Window
@@ -273,41 +255,24 @@ def _never(_: Situation) -> bool:
 class Declaration:
     """Properties of an effect; its model, law and cost are in its module's docstring.
 
-    Attributes
-    ----------
-    name : str
-        Name in scenes and options; the name of its module.
-    effect : callable
-        `effect(window, setting)` → `Effect`, ready to run.
-    bound : callable
-        `bound(situation)` → `Bound` of the error made when the effect is off.
-    measured : callable or None
-        `measured(situation)` → change of direction (radians) and of radiance (relative), from traces with and
-        without the effect. None: the direction is unchanged, and the radiance is that of the light reaching
-        the camera.
-    shows : Fate or None
-        Fate of the rays that carry light with the effect and none without it. Their share is the bound.
-    follows : bool
-        Whether rays of that fate are traced on, with every loss. Such effects run last and their result is
-        final.
-    splits : bool
-        Whether one ray becomes several.
-    includes : tuple of str
-        Effects whose losses on the straight path are included in this one.
-    loses : bool
-        Whether faces reflect a share of the light.
-    attenuations : callable or None
-        `attenuations(window, setting, wavelength)` → loss of each body (1/length).
-    lines : bool
-        Whether each wavelength of the light is traced by itself.
-    waves : bool
-        Whether it requires the light of one telescopelet as a wave.
-    rung : Rung or None
-        Rung that replaces the exact surfaces; the effect is on exactly on that rung.
-    stated : callable
-        `stated(situation)`: whether the scene requests the effect, regardless of its bound.
-    camera : bool
-        Whether the camera implements it, and not the trace of its rays.
+    name : Name in scenes and options; the name of its module.
+    effect : `effect(window, setting)` → `Effect`, ready to run.
+    bound : `bound(situation)` → `Bound` of the error made when the effect is off.
+    measured : `measured(situation)` → change of direction (radians) and of radiance (relative), from traces
+        with and without the effect. None: the direction is unchanged, and the radiance is that of the light
+        reaching the camera.
+    shows : Fate of the rays that carry light with the effect and none without it. Their share is the bound.
+    follows : Whether rays of that fate are traced on, with every loss. Such effects run last and their result
+        is final.
+    splits : Whether one ray becomes several.
+    includes : Effects whose losses on the straight path are included in this one.
+    loses : Whether faces reflect a share of the light.
+    attenuations : `attenuations(window, setting, wavelength)` → loss of each body (1/length).
+    lines : Whether each wavelength of the light is traced by itself.
+    waves : Whether it requires the light of one telescopelet as a wave.
+    rung : Rung that replaces the exact surfaces; the effect is on exactly on that rung.
+    stated : `stated(situation)`: whether the scene requests the effect, regardless of its bound.
+    camera : Whether the camera implements it, and not the trace of its rays.
     """
 
     name: str

@@ -73,10 +73,7 @@ FAINT = 1e-6
 def law_light(window: Window, rays: Rays, result: TraceResult, ghosts: bool) -> LightRays:
     """Light of the rays that pass the sheet on rung law.
 
-    Raises
-    ------
-    CellsDiffer
-        Ghosts of cells with an eta of their own.
+    Raises CellsDiffer: Ghosts of cells with an eta of their own.
     """
     if ghosts:
         other = "rungs thin and surfaces trace those of cells with an eta of their own"
@@ -160,10 +157,7 @@ def shares(cells: ThinCells, slopes: Floats, order: tuple[int, int], index: Ints
 def overlap(moved: Floats, fixed: Floats, shift: Floats) -> Floats:
     """Area (n,) that two convex polygons share when the first is moved by each shift (n, 2).
 
-    Parameters
-    ----------
-    moved, fixed : (k, 2), (m, 2)
-        Corners, counter-clockwise.
+    moved, fixed : (k, 2), (m, 2). Corners, counter-clockwise.
 
     Notes
     -----

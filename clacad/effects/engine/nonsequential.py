@@ -56,9 +56,8 @@ def _mirrored_face(face: Face) -> Face:
         rotation=turned,
         array=face.array,
         land=None if face.land is None else -face.land,
-        change=None
-        if face.change is None
-        else replace(face.change, slope=(-face.change.slope[0], -face.change.slope[1])),
+        change=None if face.change is None else face.change.mirrored,
+        sunk=face.sunk,
     )
 
 
@@ -72,18 +71,11 @@ MARGIN = 64
 class Rules:
     """Rules at interfaces.
 
-    Attributes
-    ----------
-    walls : bool
-        Pass walls and faces hit from their wrong side; else the light ends there.
-    total : bool
-        Go on after total internal reflection at a face; else the light ends there.
-    losses : bool
-        Fresnel: 1 − R is transmitted, and R is reflected.
-    order : int
-        Largest number of partial reflections in a path; 0: nothing is split.
-    faces : int
-        Largest number of faces after the first wall or total reflection.
+    walls : Pass walls and faces hit from their wrong side; else the light ends there.
+    total : Go on after total internal reflection at a face; else the light ends there.
+    losses : Fresnel: 1 − R is transmitted, and R is reflected.
+    order : Largest number of partial reflections in a path; 0: nothing is split.
+    faces : Largest number of faces after the first wall or total reflection.
     attenuation : one a body, 1/length
     media : refractive index before the first face and behind each
     coating, ratio : see `clacad.optics.surface.fresnel_coefficients.reflected`
@@ -104,22 +96,16 @@ class Rules:
 class Packet:
     """m rays of one state.
 
-    beam : Beam
-        Its rows are row numbers of the launched rays.
+    beam : Its rows are row numbers of the launched rays.
     flux : (m,)
-    path : (m,) lengths
-        Optical path from the start.
+    path : (m,) lengths. Optical path from the start.
     position : (m, 3) sheet frame, last point hit
     gate : (m, 2) lengths, gate_cell : (m, 2) ints
         Point where the ray last left a body, relative to the cell it was in; for the baffle.
-    gated : (m,) bool
-        Whether it has crossed the gap between the arrays since then.
-    bounces : (m,) ints
-        Partial reflections so far.
-    faces : (m,) ints
-        Number of faces hit.
-    astray : (m,) ints
-        Number of faces hit since the first wall or total reflection; 0 before.
+    gated : (m,) bool. Whether it has crossed the gap between the arrays since then.
+    bounces : (m,) ints. Partial reflections so far.
+    faces : (m,) ints. Number of faces hit.
+    astray : (m,) ints. Number of faces hit since the first wall or total reflection; 0 before.
     """
 
     beam: Beam
@@ -149,20 +135,14 @@ CAUSES: tuple[Cause, ...] = ("forward", "front", "wall", "total", "opaque", "asi
 class NonsequentialLight:
     """Result of a non-sequential trace.
 
-    Attributes
-    ----------
-    parent : (m,) ints
-        Launched ray of each piece of light.
+    parent : (m,) ints. Launched ray of each piece of light.
     position, direction : (m, 3), sheet frame
     flux, optical_path : (m,)
-    front : (m,) bool
-        Whether it left on the side it came from.
-    bounces : (m,) ints
-        Number of partial reflections on its way.
-    share : dict of (n,) arrays
-        For every launched ray, the share of its light by outcome; the shares sum to 1. "forward" and "front"
-        left the sheet; "wall", "total" and "opaque" ended there; "aside" left sideways; "absorbed" was
-        absorbed; "cut" lay beyond the largest number of reflections or faces.
+    front : (m,) bool. Whether it left on the side it came from.
+    bounces : (m,) ints. Number of partial reflections on its way.
+    share : dict of (n,) arrays. For every launched ray, the share of its light by outcome; the shares sum to
+        1. "forward" and "front" left the sheet; "wall", "total" and "opaque" ended there; "aside" left
+        sideways; "absorbed" was absorbed; "cut" lay beyond the largest number of reflections or faces.
     """
 
     parent: Rows
@@ -178,12 +158,8 @@ class NonsequentialLight:
 def trace_nonsequential(window: Window, rays: Rays, rows: Rows, rules: Rules) -> NonsequentialLight:
     """Follow the light of some rays until it has left the sheet or ended.
 
-    Parameters
-    ----------
-    rows : (k,) ints
-        Rays that hit the sheet.
-    rules : Rules
-        Its `indices` are one refractive index a body.
+    rows : (k,) ints. Rays that hit the sheet.
+    rules : Its `indices` are one refractive index a body.
     """
     walk = _Packets(window, rays, rules)
     with np.errstate(all="ignore"):
@@ -283,7 +259,7 @@ class _Packets:
         body = layout.bodies[number]
         event = first_change(layout, body, packet.beam, inside)
         if not inside and layout.window.baffle is not None:
-            packet, event = self.stopped(layout, body, packet, event)
+            packet, event = self.stopped(layout, number, packet, event)
         if inside:
             packet = self.absorbed(up, number, packet, event.distance)
         aside = event.kind == ASIDE
@@ -305,11 +281,11 @@ class _Packets:
         self.end("absorbed", packet, packet.flux - flux)
         return replace(packet, flux=flux)
 
-    def stopped(self, layout: Layout, body: BodyPlan, packet: Packet, event: Event) -> tuple[Packet, Event]:
-        """End rays that the honeycomb between the arrays stops."""
-        array = body.arrays[0]
+    def stopped(self, layout: Layout, number: int, packet: Packet, event: Event) -> tuple[Packet, Event]:
+        """End rays that the honeycomb before a body stops."""
+        of, array = layout.bodies[max(number - 1, 0)].arrays[-1], layout.bodies[number].arrays[0]
         met = event.starts[array] + event.distance[:, None] * packet.beam.direction[:, :2]
-        share = honeycomb.reach(layout, packet.gate, met, event.cells[array] - packet.gate_cell)
+        share = honeycomb.reach(layout, (of, array), packet.gate, met, event.cells[array] - packet.gate_cell)
         blocked = packet.gated & np.isfinite(share)
         self.end("opaque", packet.take(blocked))
         on = ~blocked

@@ -162,10 +162,7 @@ Place = tuple[Chosen, float | None]
 def resolve(names: Sequence[str | Effect], window: Window, setting: Setting | None = None) -> list[Effect]:
     """Effects of given names, in the order in which they must run; modules not named are not imported.
 
-    Raises
-    ------
-    ValueError
-        An unknown name.
+    Raises ValueError: An unknown name.
     """
     named = tuple(name if isinstance(name, str) else name.name for name in names)
     setting = replace(setting or Setting(), active=named)

@@ -41,21 +41,13 @@ EXACT_MARGIN = 1.25
 class PlanRow:
     """One effect in a plan.
 
-    Attributes
-    ----------
-    effect : str
     state : "on", "off", "forced", "without" or "unknown"
         Unknown: off, and the error made by that is not bounded.
-    why : str
-    angle : float, radians
-    radiance : float, relative
-        Bounds of the error made without the effect.
-    cost : float
-        Predicted time of a trace with this effect over the bare trace.
-    measured : bool
-        The bounds were measured rather than estimated.
-    known : bool
-        False: the error made without the effect is not bounded, because a number is not known.
+    angle : radians
+    radiance : relative. Bounds of the error made without the effect.
+    cost : Predicted time of a trace with this effect over the bare trace.
+    measured : The bounds were measured rather than estimated.
+    known : False: the error made without the effect is not bounded, because a number is not known.
     """
 
     effect: str
@@ -201,7 +193,8 @@ def plan_effects(
     force: Sequence[str] = (),
     without: Sequence[str] = (),
 ) -> Plan:
-    """Choose the effects that a scene needs.
+    """Choose the physical effects that a scene needs; each that is left out has a bound of what it would
+    change.
 
     Parameters
     ----------
@@ -220,6 +213,14 @@ def plan_effects(
     ------
     ValueError
         An unknown effect or mode, or a wavelength outside a material's data.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> plan = clacad.plan_effects(design)
+    >>> plan
+    Plan(rung 'surfaces', ghosts, walls, fresnel, reflections)
     """
     situation, wishes, asked = _look_at(target)
     return _planned(_within(situation, tolerance), wishes.with_(mode, chosen, force, without), asked, exact)
@@ -290,10 +291,7 @@ class Wishes:
     ) -> Wishes:
         """These wishes plus further ones."""
         merged = Wishes(
-            mode or self.mode,
-            (*self.chosen, *chosen),
-            (*self.force, *force),
-            (*self.without, *without),
+            mode or self.mode, (*self.chosen, *chosen), (*self.force, *force), (*self.without, *without)
         )
         if merged.mode not in ("auto", "list", "none"):
             raise ValueError(f'mode is {merged.mode!r}, not "auto", "list" or "none"')

@@ -50,12 +50,8 @@ def situation_of_window(
 
     For a non-uniform sheet: over a sample of cells, each about the middle of its own field.
 
-    Parameters
-    ----------
-    angle, radiance : float
-        Smallest change that matters.
-    field : float, radians
-        Half angle of the cone.
+    angle, radiance : Smallest change that matters.
+    field : radians. Half angle of the cone.
     """
     spread = tan(field)
     return Situation(window, setting or Setting(), cone(window, field), angle, radiance, spread=spread)
@@ -110,15 +106,9 @@ def situation_of_scene(
 ) -> Situation:
     """The camera's own rays on the sheet.
 
-    Parameters
-    ----------
-    scene : Scene
-    window : Window or None
-        If prescribed already.
-    number : int
-        Number of the sheet, if the scene has several.
-    rays : Rays or None
-        Light that reaches this sheet, in its frame and unit; None: the camera's rays.
+    window : If prescribed already.
+    number : Number of the sheet, if the scene has several.
+    rays : Light that reaches this sheet, in its frame and unit; None: the camera's rays.
     """
     from clacad.prescription.prescribe import prescribe
 

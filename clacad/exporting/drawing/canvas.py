@@ -82,8 +82,7 @@ Mark = LineMark | CircleMark | Words | ScaleNote | DimensionMark
 class Canvas:
     """Drawing board in pixels, y downwards; it records what is drawn, for a page or for paper.
 
-    scale : float or None
-        Pixels a millimetre of the part, where the view is to scale.
+    scale : Pixels a millimetre of the part, where the view is to scale.
     """
 
     def __init__(self, width: float, height: float, label: str, scale: float | None = None) -> None:

@@ -27,19 +27,12 @@ if TYPE_CHECKING:
 class Allowances:
     """Half widths of the ± tolerances; 0 where the design states none.
 
-    Parameters
-    ----------
-    thickness : (body 1, body 2), mm
-        Of the centre thickness.
-    separation : float, mm
-        Lens to lens.
-    radius : (array 1, array 2)
-        Of every radius, relative.
+    thickness : (body 1, body 2), mm. Of the centre thickness.
+    separation : mm. Lens to lens.
+    radius : (array 1, array 2). Of every radius, relative.
     decentre : (array 1, array 2), mm
-    rotation, tilt : float, radians
-        Of array 2 against array 1, about the normal and about x and y.
-    roughness : float, mm
-        Largest rms height of the lens faces.
+    rotation, tilt : radians. Of array 2 against array 1, about the normal and about x and y.
+    roughness : mm. Largest rms height of the lens faces.
     """
 
     thickness: tuple[float, float] = (0.0, 0.0)

@@ -64,12 +64,7 @@ DIGITS = 1e-4
 
 
 def require_drawing() -> None:
-    """Raise an error that names the missing extras.
-
-    Raises
-    ------
-    NotPossible
-    """
+    """Raise an error that names the missing extras. Raises NotPossible."""
     lacking = {extra: name for name, extra in (("ezdxf", "dxf"), ("typst", "pdf")) if find_spec(name) is None}
     if lacking:
         raise NotPossible(
@@ -80,12 +75,7 @@ def require_drawing() -> None:
 
 
 def write_drawing_dxf(made: Sequence[Sheet], path: Path) -> int:
-    """Write all sheets; return the number of dimensions. Equal sheets give equal bytes.
-
-    Raises
-    ------
-    OSError
-    """
+    """Write all sheets; return the number of dimensions. Equal sheets give equal bytes. Raises OSError."""
     import ezdxf
     from ezdxf import units
 
@@ -197,9 +187,7 @@ class _Pen:
 def dimensions_in(path: Path) -> Iterator[tuple[str, float]]:
     """Words of each dimension of a drawing, and the length (mm of the part) between its two points.
 
-    Raises
-    ------
-    UnreadableFile
+    Raises UnreadableFile.
     """
     import ezdxf
 
@@ -218,9 +206,7 @@ def dimensions_in(path: Path) -> Iterator[tuple[str, float]]:
 def check_drawing_dxf(path: Path, written: int) -> None:
     """Read a drawing back: every dimension exists, and its words agree with the distance of its points.
 
-    Raises
-    ------
-    FileDisagrees, UnreadableFile
+    Raises FileDisagrees, UnreadableFile.
     """
     found = list(dimensions_in(path))
     if len(found) != written:
@@ -268,12 +254,7 @@ def write_drawing_pdf(made: Sequence[Sheet], path: Path) -> None:
 
 
 def check_drawing_pdf(path: Path, pages: int) -> None:
-    """Reject a file that is not a whole PDF with this number of pages.
-
-    Raises
-    ------
-    FileDisagrees
-    """
+    """Reject a file that is not a whole PDF with this number of pages. Raises FileDisagrees."""
     data = path.read_bytes()
     if not data.startswith(b"%PDF") or b"%%EOF" not in data[-64:] or b"/Count %d" % pages not in data:
         raise FileDisagrees(f"{path.name}: no whole PDF of {pages} pages")

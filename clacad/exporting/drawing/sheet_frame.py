@@ -77,13 +77,9 @@ def _zones(
 class Heading:
     """What a title block contains in addition to the part's own data.
 
-    number : str
-        Of the drawing: the beginning of the SHA-256 of the design.
-    version : str
-        Of the program that drew it.
-    paper : str
-    scale : str
-        Of the assembly.
+    number : Of the drawing: the beginning of the SHA-256 of the design.
+    version : Of the program that drew it.
+    scale : Of the assembly.
     """
 
     number: str

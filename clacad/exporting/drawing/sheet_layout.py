@@ -25,7 +25,7 @@ from clacad.exporting.drawing.notes import Allowances, allowances
 from clacad.exporting.drawing.sheet_frame import PAPERS, Heading, frame_box, sheet_frame, title_block
 from clacad.exporting.drawing.views import mm_text
 from clacad.optics.surface import principal_radii
-from clacad.sheet.own_steps import greatest_steps
+from clacad.sheet.cell_heights import greatest_steps
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Face, Window
 
@@ -285,16 +285,10 @@ def sheets(
 ) -> tuple[Sheet, ...]:
     """Lay out the drawing of a part.
 
-    Parameters
-    ----------
-    design : Design
-    window : Window
-        As written.
-    facts : Feasibility
-        Of that window.
+    window : As written.
+    facts : Of that window.
     paper : "a4", "a3" or "a2"
-    study : mapping or None
-        Content of `tolerances.json` of a study of this design.
+    study : Content of `tolerances.json` of a study of this design.
     """
     from clacad import __version__
 

@@ -39,12 +39,8 @@ MOST_CELLS = 240
 class DrawnLight:
     """Light that is drawn through a telescopelet.
 
-    Parameters
-    ----------
-    rays : list of (k, 3) arrays, lengths
-        Traced paths through the cell in the middle.
-    focus : float, length
-        Height of the common focal plane over lens 1.
+    rays : list of (k, 3) arrays, lengths. Traced paths through the cell in the middle.
+    focus : length. Height of the common focal plane over lens 1.
     """
 
     rays: list[Floats]
@@ -55,12 +51,8 @@ class DrawnLight:
 class OnPaper:
     """How much of a sheet of paper a view may take.
 
-    Parameters
-    ----------
-    unit : float
-        Millimetres on paper a pixel.
-    share : float
-        Of the scale that a view has in a report.
+    unit : Millimetres on paper a pixel.
+    share : Of the scale that a view has in a report.
     """
 
     unit: float

@@ -53,8 +53,7 @@ class FaceFile:
 class Samples:
     """Heights of one cell.
 
-    points : (m, 3) lengths
-        x and y in the cell frame, z in the sheet frame.
+    points : (m, 3) lengths. x and y in the cell frame, z in the sheet frame.
     step : (2,) lengths
     """
 
@@ -66,16 +65,10 @@ class Samples:
 class Reading:
     """Comparison of a file of heights, points, places or numbers with the design; see `map_reading`.
 
-    Attributes
-    ----------
-    face : callable or None
-        `face(file)` → misfit of a file of one face.
-    sheet : callable or None
-        `sheet(window, path)` → misfit of a file of the whole window.
-    samples : callable or None
-        `samples(file, cell)` → heights of one cell of a face, through which light is traced.
-    unit : str
-        Unit of the misfit; "": relative.
+    face : `face(file)` → misfit of a file of one face.
+    sheet : `sheet(window, path)` → misfit of a file of the whole window.
+    samples : `samples(file, cell)` → heights of one cell of a face, through which light is traced.
+    unit : Unit of the misfit; "": relative.
     """
 
     face: Callable[[FaceFile], Misfit] | None = None
@@ -88,30 +81,18 @@ class Reading:
 class FileKind:
     """Files under one word of the manifest; a format writes one kind of file, or several.
 
-    Attributes
-    ----------
-    word : str
-        Format in manifests and reports.
-    family : "mesh", "solid", "map" or "other"
-        Triangles; exact solids; a file that is compared by `readings`; everything else is judged by its
-        bytes.
-    ends : tuple of str
-        Endings by which a file without a manifest is recognised.
-    bytes_a_facet : float
-        Approximate size of a mesh.
-    states_unit : bool
-        Whether every reader interprets its unit alike.
-    native : bool
-        Whether a native library reads it, in a process of its own.
-    like : str
-        Format that stores a mesh alike; "": its own word.
-    text_budget : str
-        Reader (`clacad.base.untrusted_files`) of the text of a file that is too large for OCC; "": no text
-        is read.
-    older : bool
-        Whether words that begin with this one are older words of the same kind.
-    readings : str
-        Module with a mapping `READINGS` from words to `Reading`; imported on first use.
+    word : Format in manifests and reports.
+    family : "mesh", "solid", "map" or "other". Triangles; exact solids; a file that is compared by
+        `readings`; everything else is judged by its bytes.
+    ends : Endings by which a file without a manifest is recognised.
+    bytes_a_facet : Approximate size of a mesh.
+    states_unit : Whether every reader interprets its unit alike.
+    native : Whether a native library reads it, in a process of its own.
+    like : Format that stores a mesh alike; "": its own word.
+    text_budget : Reader (`clacad.base.untrusted_files`) of the text of a file that is too large for OCC; "":
+        no text is read.
+    older : Whether words that begin with this one are older words of the same kind.
+    readings : Module with a mapping `READINGS` from words to `Reading`; imported on first use.
     """
 
     word: str
@@ -175,12 +156,12 @@ def _saddle_facts(job: Job, saddles: int, scale: float) -> dict[str, Any]:
 
 
 def of_own_cells(window: Window, row: Forecast, quads: int) -> Forecast:
-    """Row of a mesh with the cost of a non-uniform sheet: each cell is cut and joined separately."""
+    """Row of a mesh with the cost of a non-uniform sheet, all of whose triangles are made and none copied."""
     if window.uniform:
         return row
     bodies = sum(any(f.change is not None for f in (body.front, body.back)) for body in window.bodies)
     cells = window.lattice.cell_count * bodies
-    more = cells * (1.5e-3 + 2.5e-4 * quads + 2e-6 * quads * quads)
+    more = cells * (2e-5 + 1e-6 * quads * quads)
     return replace(row, modelled=row.modelled + more, note=own_cells_note(window))
 
 

@@ -6,7 +6,7 @@ for grids above 32 within 10 %.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -37,8 +37,7 @@ STREAM_MEMORY = (80_000_000, 400_000_000)
 
 Family = Literal["exact", "stream", "welded", "map", "part", "prescription", "drawing"]
 """Exact solids; facets as a stream; facets of shared vertices; heights, points, tables, masks and scenes;
-parts modelled
-one by one; one telescopelet for lens-design programs; sheets of paper.
+parts modelled one by one; one telescopelet for lens-design programs; sheets of paper.
 """
 
 
@@ -46,28 +45,15 @@ one by one; one telescopelet for lens-design programs; sheets of paper.
 class Forecast:
     """Price of one format.
 
-    Parameters
-    ----------
-    format : str
-    bytes : int
-    exact : bool
-        Whether `bytes` is exact; otherwise within 20 %.
-    facets : int or None
-        Facets of the sheet; every instance is counted.
-    quads : int or None
-    modelled : float
-        Processor seconds on the reference machine.
+    exact : Whether `bytes` is exact; otherwise within 20 %.
+    facets : Facets of the sheet; every instance is counted.
+    modelled : Processor seconds on the reference machine.
     memory : (low, high) bytes
-    seconds : (low, high)
-        Processor seconds on this machine.
-    stored : int or None
-        Facets that the file stores; fewer than `facets` where it repeats a cell.
-    places : int
-        Bytes of the positions of the repeated cells.
-    prospect : Prospect or None
-        The file's role and the light through it.
-    note : str
-        Reason why this file costs more than that of a uniform sheet; "" if it does not.
+    seconds : (low, high). Processor seconds on this machine.
+    stored : Facets that the file stores; fewer than `facets` where it repeats a cell.
+    places : Bytes of the positions of the repeated cells.
+    prospect : The file's role and the light through it.
+    note : Reason why this file costs more than that of a uniform sheet; "" if it does not.
     """
 
     format: str
@@ -111,9 +97,8 @@ class Forecast:
 class ChosenMesh:
     """A mesh file of an export with default options.
 
-    quads : int, a cell side
-    facets, bytes : int
-        Approximate number of stored facets and size.
+    quads : a cell side
+    facets, bytes : Approximate number of stored facets and size.
     """
 
     quads: int
@@ -129,49 +114,29 @@ def _anything(_window: Window, _asked: Request, _worker: Worker) -> None:
 class Format:
     """Properties of a format.
 
-    Attributes
-    ----------
-    word : str
-        Name in requests, messages and manifests of options.
-    family : str
-        See `Family`.
-    about : str
-        Contents of the files, in one line.
-    write : callable
-        `write(job)` writes into the private folder, reads back, compares and describes the files.
-    forecast : callable
-        `forecast(meshes, quads, request)` → `Forecast`; `quads` is unused by formats without facets.
-    rough_seconds : callable
-        `rough_seconds(sheet, quads, request)`: processor seconds on the reference machine, from the design's
-        numbers.
+    word : Name in requests, messages and manifests of options.
+    family : str. See `Family`.
+    about : Contents of the files, in one line.
+    write : `write(job)` writes into the private folder, reads back, compares and describes the files.
+    forecast : `forecast(meshes, quads, request)` → `Forecast`; `quads` is unused by formats without facets.
+    rough_seconds : `rough_seconds(sheet, quads, request)`: processor seconds on the reference machine, from
+        the design's numbers.
     require : callable
         `require(window, request, worker)` refuses designs and machines for which the format is impossible.
     refuse_places : callable or None
         `refuse_places(window, request)` refuses more repeated cells than the reader of the format takes.
-    at_a_glance : callable or None
-        `at_a_glance(window, sheet, chosen)` → `Forecast` for `check`, of a format that designs are commonly
-        exported in;
-        `chosen` is the mesh that an export would write, None without a design.
-    optical : bool
-        Whether the light of the law goes through a part made from its files.
-    any_cells : bool
-        Whether it holds non-uniform sheets.
-    turned_arrays, many_sizes : bool
-        Whether these may have a rotated array, and lenses of many sizes.
-    repeats : bool
-        Whether it stores one cell and its places if the sheet is `tessellations.instanceable`.
-    fusable : bool
-        Whether the option `fused` applies.
-    whole_sheet : bool
-        Whether one file holds all bodies.
-    kernel : bool
-        Whether OCC reads every file back, so that it is loaded early.
-    smaller : str
-        Options that make its files smaller; "": fewer quads or cells.
-    stored : tuple of Storing
-        Ways in which the faces are stored, of which a reader may choose.
-    bodies : tuple of str
-        Names of the parts that it writes in addition to the optics.
+    at_a_glance : `at_a_glance(window, sheet, chosen)` → `Forecast` for `check`, of a format that designs are
+        commonly exported in; `chosen` is the mesh that an export would write, None without a design.
+    optical : Whether the light of the law goes through a part made from its files.
+    of_cell : Whether it describes one cell; of a non-uniform sheet the cell that the request names.
+    turned_arrays, many_sizes : Whether these may have a rotated array, and lenses of many sizes.
+    repeats : Whether it stores one cell and its places if the sheet is `tessellations.instanceable`.
+    fusable : Whether the option `fused` applies.
+    whole_sheet : Whether one file holds all bodies.
+    kernel : Whether OCC reads every file back, so that it is loaded early.
+    smaller : Options that make its files smaller; "": fewer quads or cells.
+    stored : Ways in which the faces are stored, of which a reader may choose.
+    bodies : Names, without numbers, of the parts that it writes in addition to the optics.
     """
 
     word: str
@@ -184,7 +149,7 @@ class Format:
     refuse_places: Callable[[Window, Request], None] | None = None
     at_a_glance: Callable[[Window, RoughSheet, ChosenMesh | None], Forecast] | None = None
     optical: bool = True
-    any_cells: bool = True
+    of_cell: bool = False
     turned_arrays: bool = True
     many_sizes: bool = True
     repeats: bool = False
@@ -216,13 +181,29 @@ class Format:
         """Whether a file of these meshes stores one cell and its places."""
         return self.repeats and meshes.repeatable
 
+    def sheet_of(self, window: Window, asked: Request) -> Window:
+        """Sheet that the files describe: of one cell, its uniform equivalent, named after the cell.
+
+        The equivalent's cells are as wide as array 1's, of maps as the wider array's.
+        """
+        if window.uniform or not self.of_cell or asked.cell is None:
+            return window
+        from clacad.sheet.like_cell import named_cell
+
+        return named_cell(window, asked.cell, widest=self.family == "map")
+
+    def cell_facts(self, window: Window, asked: Request) -> dict[str, Any]:
+        """Which cell the files describe, for the manifest; empty for other formats or without a request."""
+        given = self.of_cell and asked.cell is not None
+        return {"cell": asked.cell, "uniform": window.uniform or None} if given else {}
+
     def holds(self, window: Window) -> bool:
         """Whether a file can hold the cells of a sheet."""
         if window.uniform:
             return True
         turned = any(place.turn for place in window.placements)
         return (
-            self.any_cells
+            not self.of_cell
             and (self.turned_arrays or not turned)
             and (self.many_sizes or not window.many_sizes)
         )
@@ -231,6 +212,14 @@ class Format:
 def stream_bytes(facets: int, files: int = 1) -> int:
     """Bytes of files written as a stream, with a head each."""
     return 84 * files + STREAM_FACET * facets
+
+
+def cell_words(facts: Mapping[str, Any]) -> str:
+    """Words on the cell of `Format.cell_facts`; "" for none."""
+    if "cell" not in facts:
+        return ""
+    i, j = facts["cell"]
+    return f"cell {i},{j}" + (": all cells of the sheet are equal" if facts.get("uniform") else "")
 
 
 def about_number(number: int) -> int:
@@ -252,21 +241,12 @@ IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 class RoughSheet:
     """Numbers that determine the sizes of a sheet's files.
 
-    Attributes
-    ----------
-    lenses : int
-        Faces with lenslets.
-    bodies : int
-    cells : int
-        At least 1: an outline may leave none whole.
+    lenses : Faces with lenslets.
+    cells : At least 1: an outline may leave none whole.
     count : (n1, n2)
-    hexagonal : bool
-    tilted : bool
-        Lenslets are tilted, so that neighbours do not join at their borders.
-    repeats : bool
-        Whether the sheet is uniform, without an outline or land between cells and outline.
-    cylinders : bool
-        Every lenslet is a cylinder along its cell, which takes one step of the grid that way.
+    tilted : Lenslets are tilted, so that neighbours do not join at their borders.
+    repeats : Whether the sheet is uniform, without an outline or land between cells and outline.
+    cylinders : Every lenslet is a cylinder along its cell, which takes one step of the grid that way.
     """
 
     lenses: int
@@ -283,7 +263,10 @@ class RoughSheet:
         """Numbers of a design before it is prescribed."""
         form, lattice = design.pair.form, design.lattice
         n1, n2 = (int(n) for n in lattice.count)
-        lenses, bodies = (4 if form == "biconvex" else 2), (1 if form == "slab" else 2)
+        lenses, bodies = (
+            (4 if form == "biconvex" else 2),
+            (max(1, len(design.pair.layers)) if form == "slab" else 2),
+        )
         if form == "plates":
             from clacad.design.faces import listed_lenses
 

@@ -178,7 +178,7 @@ FORMATS = (
         _write_sag,
         _forecast_sag,
         lambda sheet, _quads, _asked: structured_cost(2 * sheet.bodies),
-        any_cells=False,
+        of_cell=True,
         stored=(AT_POINTS,),
     ),
     Format(

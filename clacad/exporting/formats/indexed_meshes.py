@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from math import log2
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.units import millimetres
-from clacad.exporting.formats.file_kind import FileKind
-from clacad.exporting.formats.format import BASE, ChosenMesh, Forecast, Format, about_number
+from clacad.exporting.formats.file_kind import SCALES, FileKind, mesh_facts, of_own_cells
+from clacad.exporting.formats.format import BASE, ChosenMesh, Forecast, Format, RoughSheet, about_number
 from clacad.exporting.roles import DOUBLE_NORMALS, DOUBLES, IN_CELL, SINGLE_NORMALS
 
 if TYPE_CHECKING:
@@ -40,6 +39,12 @@ PLACE_IN_ARRAY = 12
 
 PER_FACET_AND_PLACE = {THREEMF: (4.5e-6, 6.0e-6), GLB: (4.0e-6, 1.3e-5)}
 """Seconds for a facet of the repeated cell, and for a place."""
+
+HELD = 300
+"""Bytes of memory for a facet of a mesh that is held."""
+
+STREAMED = {THREEMF: (3.0e-6, 50), GLB: (9.0e-7, 10), PLY: (9.0e-7, 10)}
+"""Seconds and bytes of memory for a facet that is written as it is made."""
 
 Writer = Callable[["Sequence[Piece]", Path, float, str], None]
 
@@ -84,7 +89,6 @@ def _record(
     job: Job, word: str, write: Writer, single: bool, repeated: bool, normals: bool = True, unit: str = "mm"
 ) -> FileRecord:
     """Write a file, read it back and compare; `repeated`: it stores one cell; `single`: single precision."""
-    from clacad.exporting.formats.file_kind import SCALES, mesh_facts
     from clacad.formats.mesh.compare_triangles import compare_mesh
     from clacad.formats.mesh.readers import read_mesh
     from clacad.sheet.volume_and_extent import volume_sum
@@ -115,17 +119,20 @@ def _record(
 
 def _seconds(word: str, held: int, places: int) -> float:
     """Seconds for shared vertices, exact normals and the places of repeated cells."""
-    if word == PLY:
-        return BASE + 4.2e-7 * held * log2(max(2, held))
-    if places == 0:  # the whole sheet is welded: sorting decides
-        return BASE + 6.0e-7 * held * log2(max(2, held))
+    if places == 0:
+        return BASE + STREAMED[word][0] * held
     each, place = PER_FACET_AND_PLACE[word]
     return BASE + 0.01 + each * held + place * places
 
 
-def _row(word: str, size: int, held: int, facets: int, places: int, quads: int) -> Forecast:
-    """Forecast a file from its bytes, the facets that it stores and the places that are read back."""
-    memory = int(700 * held + 400 * places)
+def _row(
+    word: str, size: int, held: int, facets: int, places: int, quads: int, in_memory: bool = False
+) -> Forecast:
+    """Forecast a file from its bytes, the facets that it stores and the places that are read back.
+
+    in_memory : Whether all facets are held while they are written though none is repeated.
+    """
+    memory = int((HELD if places or in_memory else STREAMED[word][1]) * held + 400 * places)
     needed = (memory // 2 + 100_000_000, 2 * memory + 200_000_000)
     modelled = _seconds(word, held, places)
     return Forecast(word, size, False, facets, quads, modelled, needed, stored=held)
@@ -137,26 +144,22 @@ def _vertices(held: int, quads: int) -> float:
 
 
 def _forecast_threemf(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
-    from clacad.exporting.formats.file_kind import of_own_cells
-
     return of_own_cells(meshes.window, threemf_row(meshes, quads), quads)
 
 
 def threemf_row(meshes: Meshes, quads: int) -> Forecast:
     """Forecast a 3MF file, without the cost of a non-uniform sheet."""
-    from clacad.exporting.formats.format import RoughSheet
-
     window, repeated = meshes.window, meshes.repeatable
     held = meshes.at(quads).cell.facet_count if repeated else meshes.facets(quads)
     listed = _listed(RoughSheet.of_window(window)) if repeated else 0
     facets = held * window.lattice.cell_count if repeated else held
     places = _threemf_place_bytes(window) if repeated else 0
     size = _threemf_bytes(meshes, quads) + places
-    return replace(_row(THREEMF, size, held, facets, listed, quads), places=places)
+    row = _row(THREEMF, size, held, facets, listed, quads, in_memory=window.uniform)
+    return replace(row, places=places)
 
 
 def _forecast_ply(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
-    from clacad.exporting.formats.file_kind import of_own_cells
     from clacad.formats.mesh.ply import ply_bytes
 
     held = meshes.facets(quads)
@@ -166,8 +169,6 @@ def _forecast_ply(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
 
 def _forecast_glb(meshes: Meshes, quads: int, asked: Request) -> Forecast:
     """Forecast a GLB file, whose cells are one node each or one node a body."""
-    from clacad.exporting.formats.file_kind import of_own_cells
-
     window, repeated = meshes.window, meshes.repeatable
     held = meshes.at(quads).cell.facet_count if repeated else meshes.facets(quads)
     facets = held * window.lattice.cell_count if repeated else held
@@ -233,8 +234,6 @@ def _threemf_bytes(meshes: Meshes, quads: int) -> int:
     """Size of the 3MF file without places: the text of the first facets of each body, deflated."""
     import zlib
 
-    import numpy as np
-
     from clacad.exporting.tessellations import weld
     from clacad.formats.mesh import threemf
 
@@ -245,7 +244,7 @@ def _threemf_bytes(meshes: Meshes, quads: int) -> int:
         corners = _first_facets(part.rows())
         if not len(corners):
             continue
-        piece = replace(weld(body, corners, np.zeros_like(corners)), normals=None)
+        piece = weld(body, corners)
         text = "".join(threemf.mesh_lines(piece, 1, millimetres(meshes.window.unit))).encode()
         # one stream for all bodies, as in the file: a second body similar to the first compresses well
         size = len(packed.compress(text)) + len(packed.flush(zlib.Z_SYNC_FLUSH))

@@ -19,6 +19,7 @@ from clacad.exporting.formats.file_kind import CALIBRATION, FaceFile, Misfit, Re
 from clacad.exporting.formats.height_maps import GRID, PNG16, POINTS, TIFF16, TIFF32
 from clacad.exporting.formats.masks import GDS, MASK_DXF, MASK_SVG
 from clacad.exporting.formats.registry import longest_wait, reading_worker
+from clacad.exporting.formats.sequential import ZMX
 from clacad.exporting.formats.table import POSES, SURFACES
 from clacad.formats.maps.gds import GRID as LAYOUT_GRID
 from clacad.formats.maps.gds import grey_cell, layer_counts
@@ -33,6 +34,7 @@ from clacad.formats.maps.sag import (
     read_points,
     structured_faces,
 )
+from clacad.formats.sequential.zmx import check_zmx
 from clacad.sheet.window import Face, Window, face_height, in_optical_tile, lens_height_and_normal
 from clacad.storage.errors import ExportError, UnreadableFile
 from clacad.storage.reading import Spending
@@ -71,6 +73,8 @@ def _points(of: FaceFile) -> Misfit:
 
 
 def _grid(of: FaceFile) -> Misfit:
+    if not of.window.uniform:
+        raise UnreadableFile(f"{of.path.name}: heights of one cell, and no manifest says of which")
     check_grid_sag(of.face, of.path, of.scale)
     return 0.0, 0.0, f"the sag of {of.label} at every node"
 
@@ -106,10 +110,7 @@ def map_misfit(map_: HeightMap, path: Path, kind: str, scale: float) -> tuple[fl
     """Greatest distance of a pixel from the face, millimetres, and the number of pixels; inf for a false
     hole.
 
-    Raises
-    ------
-    UnreadableFile
-        The file is damaged, or its pixel format is not that of the map.
+    Raises UnreadableFile: The file is damaged, or its pixel format is not that of the map.
     """
     pixels: Pixels = read_png(path) if kind == PNG16 else read_tiff(path)
     if pixels.shape != (map_.height, map_.width):
@@ -136,9 +137,7 @@ def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple
 
     A plain cloud has no normals.
 
-    Raises
-    ------
-    UnreadableFile
+    Raises UnreadableFile.
     """
     assert face.array is not None
     worst, count = 0.0, 0
@@ -180,6 +179,11 @@ def _calibration(window: Window, path: Path) -> Misfit:
         faces[label] = laid.calibration(scale)
     worst = _apart({"format": 1, "unit": "mm", "faces": faces}, found)
     return worst, SAME, "every number of the calibration, relative"
+
+
+def _prescription(window: Window, path: Path) -> Misfit:
+    check_zmx(window, path)
+    return 0.0, 0.0, f"light through it leaves as through the faces of {window.name}"
 
 
 def _json(path: Path) -> Any:
@@ -320,5 +324,6 @@ READINGS: Mapping[str, Reading] = {
     SURFACES: Reading(sheet=_surfaces, unit=""),
     POSES: Reading(sheet=_poses),
     CALIBRATION: Reading(sheet=_calibration, unit=""),
+    ZMX: Reading(sheet=_prescription, unit=""),
 }
 """Kind of file → its comparison with the design."""

@@ -43,6 +43,7 @@ def _write_baffle(job: Job) -> list[FileRecord]:
 
 
 def _baffle_record(job: Job, baffle: BaffleMesh) -> FileRecord:
+    from clacad.exporting.fixtures.baffle import WALLS
     from clacad.formats.mesh.measure import measure
     from clacad.formats.mesh.readers import read_mesh
     from clacad.formats.mesh.stl import write_stl
@@ -52,7 +53,7 @@ def _baffle_record(job: Job, baffle: BaffleMesh) -> FileRecord:
     write_stl([baffle], path, job.scale, f"{job.stem} {baffle.name}")
     found = measure(read_mesh(path).chunks())
     exact = baffle.volume() * job.scale**3
-    if found.facets != baffle.facet_count or not found.closed or abs(found.volume / exact - 1.0) > 1e-4:
+    if found.facets != baffle.facet_count or not found.closed or abs(found.volume / exact - 1.0) > WALLS:
         raise FileDisagrees(
             f"{path.name}: {found.facets} facets enclosing {found.volume:.9g} mm^3; the honeycomb has "
             f"{baffle.facet_count} and {exact:.9g} mm^3"
@@ -68,12 +69,7 @@ def _baffle_record(job: Job, baffle: BaffleMesh) -> FileRecord:
 
 
 def refuse_many(window: Window, what: str) -> None:
-    """Refuse solids of more cells than OCC takes.
-
-    Raises
-    ------
-    LimitRefused
-    """
+    """Refuse solids of more cells than OCC takes. Raises LimitRefused."""
     cells = window.lattice.cell_count
     if cells > MOST_BREP_CELLS:
         raise LimitRefused(
@@ -191,7 +187,7 @@ def _require_baffle(window: Window, _asked: Request, _worker: Worker) -> None:
 
 
 def _require_frame(window: Window, _asked: Request, worker: Worker) -> None:
-    """Require two plates with flat borders, a gap, and room for the name."""
+    """Require plates with flat borders, gaps, and room for the name."""
     from clacad.exporting.fixtures.frame import frame_spec, mark_lines
     from clacad.solid.marks import mark_text
 
@@ -200,7 +196,7 @@ def _require_frame(window: Window, _asked: Request, worker: Worker) -> None:
 
 
 def _require_pins(window: Window, _asked: Request, _worker: Worker) -> None:
-    """Require two plates with pin holes, a gap, and land for the shoulders."""
+    """Require plates with pin holes, gaps, and land for the shoulders."""
     from clacad.exporting.fixtures.pins_and_coupon import pin_spec
 
     pin_spec(window)
@@ -259,9 +255,12 @@ def _rough_seconds(sheet: RoughSheet, _quads: int, _asked: Request) -> float:
 
 
 def _forecast_baffle(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
+    from clacad.sheet.face_order import plates_of
+
     window = meshes.window
-    honeycombs = max(1, len(window.bodies) - 1)
-    facets = 6 * len(window.lattice.steps) * window.lattice.cell_count * honeycombs
+    honeycombs = max(1, len(plates_of(window.bodies)) - 1)
+    sides = 8 if any(place.turn for place in window.placements) else 6  # triangles of a side of a cell
+    facets = sides * len(window.lattice.steps) * window.lattice.cell_count * honeycombs
     return stl.stream_row(BAFFLE, facets, honeycombs, None, exact=False)
 
 
@@ -292,8 +291,6 @@ def _solid(
     )
 
 
-_FRAME_PARTS = ("spacer", "spacer1", "spacer2", "retainer1", "retainer2")
-
 FORMATS = (
     replace(
         _solid(BREP, "exact solids of all bodies for OCC", _require_brep, stored=(EXACT_FACES,)),
@@ -308,8 +305,7 @@ FORMATS = (
         _rough_seconds,
         _require_baffle,
         optical=False,
-        any_cells=False,
-        bodies=(BAFFLE, "baffle1", "baffle2"),
+        bodies=(BAFFLE,),
     ),
     _solid(
         FRAME,
@@ -317,16 +313,10 @@ FORMATS = (
         _require_frame,
         400_000,
         optical=False,
-        bodies=_FRAME_PARTS,
+        bodies=("spacer", "retainer"),
     ),
     _solid(
-        PINS,
-        "shoulder pins between the bodies, STEP",
-        _require_pins,
-        40_000,
-        optical=False,
-        any_cells=False,
-        bodies=(PINS,),
+        PINS, "shoulder pins between the bodies, STEP", _require_pins, 40_000, optical=False, bodies=(PINS,)
     ),
     _solid(
         COUPON,
@@ -334,7 +324,7 @@ FORMATS = (
         _require_coupon,
         2_000_000,
         optical=False,
-        any_cells=False,
+        of_cell=True,
         bodies=(COUPON,),
         stored=(EXACT_FACES,),
     ),

@@ -55,22 +55,14 @@ def words() -> tuple[str, ...]:
 
 
 def format_of(word: str) -> Format:
-    """Format of a word.
-
-    Raises
-    ------
-    UnknownFormat
-    """
+    """Format of a word. Raises UnknownFormat."""
     return _declared(MODULES)[0][known((word,))[0]]
 
 
 def known(asked: Sequence[str]) -> tuple[str, ...]:
     """Requested words without duplicates, in the order requested.
 
-    Raises
-    ------
-    UnknownFormat
-        A word is unknown; the message gives the nearest word and the list.
+    Raises UnknownFormat: A word is unknown; the message gives the nearest word and the list.
     """
     all_words = words()
     unknown = [word for word in asked if word not in all_words]
@@ -114,12 +106,8 @@ def without_optics(word: str) -> bool:
 def reading_worker(path: Path) -> Worker:
     """Start a worker that may read one STEP, BREP or GDSII file and trace light through its faces.
 
-    Raises
-    ------
-    OverBudget
-        The file is larger than the reader accepts.
-    OSError
-        The file does not exist.
+    Raises OverBudget: The file is larger than the reader accepts.
+    Raises OSError: The file does not exist.
     """
     from clacad.storage.worker import limited_worker
 

@@ -112,7 +112,7 @@ FORMATS = (
         lambda _sheet, _quads, _asked: ZMX_SECONDS,
         _require_zmx,
         optical=False,
-        any_cells=False,
+        of_cell=True,
         stored=(ONE_TELESCOPELET,),
     ),
     Format(
@@ -124,9 +124,9 @@ FORMATS = (
         lambda _sheet, _quads, _asked: OPTILAND_SECONDS,
         _require_optiland,
         optical=False,
-        any_cells=False,
+        of_cell=True,
         stored=(ONE_TELESCOPELET,),
     ),
 )
 
-FILES = (FileKind(ZMX, "other"), FileKind(OPTILAND, "other"))
+FILES = (FileKind(ZMX, "other", readings="clacad.exporting.formats.map_reading"), FileKind(OPTILAND, "other"))

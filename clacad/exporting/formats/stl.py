@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.file_kind import FileKind
+from clacad.exporting.formats.file_kind import FileKind, mesh_facts, of_own_cells
 from clacad.exporting.formats.format import (
     BASE,
     STREAM_MEMORY,
@@ -46,7 +46,6 @@ def _write_parts(job: Job) -> list[FileRecord]:
 
 def write_one(job: Job, name: str, window: Window) -> FileRecord:
     """Write some bodies of the sheet as one file, read it back once, compare, and hash while reading."""
-    from clacad.exporting.formats.file_kind import mesh_facts
     from clacad.formats.mesh.compare_triangles import compare_mesh
     from clacad.formats.mesh.stl import read_stl, write_stl
     from clacad.sheet.volume_and_extent import volume_sum
@@ -83,8 +82,6 @@ def stream_row(word: str, facets: int, files: int, quads: int | None, exact: boo
 
 
 def _row(meshes: Meshes, word: str, files: int, quads: int) -> Forecast:
-    from clacad.exporting.formats.file_kind import of_own_cells
-
     row = stream_row(word, meshes.facets(quads), files, quads, exact=meshes.window.uniform)
     return of_own_cells(meshes.window, row, quads)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,8 @@ from clacad.exporting.pov.pov_cells import NotForPov, colour, matrix, number, ve
 from clacad.exporting.pov.pov_solids import refuse, sheet_lines
 from clacad.scene import chess_knight
 from clacad.scene.chess_knight import turned
-from clacad.sheet.window import Window
+from clacad.sheet.stack import Stack, StackedSheet
+from clacad.sheet.window import Face, Window
 
 if TYPE_CHECKING:
     from clacad.scene import Camera, Scene, SceneObject
@@ -34,45 +36,56 @@ FAR = 1e7
 """Length that represents infinity, POV-Ray units."""
 
 
-def write_pov(window: Window, path: Path, scene: Scene | None = None) -> None:
+def write_pov(window: Window | Stack, path: Path, scene: Scene | None = None) -> None:
     """Write a scene file for POV-Ray.
 
-    Parameters
-    ----------
-    window : Window
-        Prescribed from the scene's design, or from any design.
-    path : Path
-    scene : Scene or None
-        A still; None shows the sheet alone before a chequered floor and a sky.
-
-    Raises
-    ------
-    NotForPov
-        Biconic faces; opaque land on a web.
+    window : Prescribed from the scene's design, or from any design; the sheets of a scene of several.
+    scene : A still; None shows the sheet alone before a chequered floor and a sky.
+    Raises NotForPov: Biconic faces; opaque land on a web.
     """
     with path.open("w", encoding="utf-8", newline="\n") as stream:
         for line in pov_lines(window, scene):
             stream.write(line + "\n")
 
 
-def pov_lines(window: Window, scene: Scene | None) -> Iterator[str]:
+def pov_lines(given: Window | Stack, scene: Scene | None) -> Iterator[str]:
     """Lines of the file."""
-    refuse(window)
-    yield f"// {window.name}: written by clacad for POV-Ray 3.7; lengths times {SCALE:g}; linear light"
+    windows = [given] if isinstance(given, Window) else [_raised(one) for one in given.sheets]
+    for one in windows:
+        refuse(one)
+    window = windows[0]
+    name = window.name if scene is None or len(windows) == 1 else scene.name
+    yield f"// {name}: written by clacad for POV-Ray 3.7; lengths times {SCALE:g}; linear light"
     if scene is not None:
         width, height = scene.camera.pixels
         yield f"// povray +I<this file> +W{width} +H{height} -A File_Gamma=1.0"
         if scene.camera.mirror:
             yield "// mirror image: the part made from this design shows the view flipped left-right"
     yield "#version 3.7;"
-    yield "global_settings { assumed_gamma 1.0 max_trace_level 24 adc_bailout 0 }"
+    yield f"global_settings {{ assumed_gamma 1.0 max_trace_level {24 * len(windows)} adc_bailout 0 }}"
     yield "#default { finish { ambient 0 diffuse 0 emission 1 } }"
     if scene is None:
         yield from _default_world(window)
     else:
         yield from _world(scene)
-    units = SCALE if scene is None else SCALE * window.unit / scene.unit_m
-    yield from sheet_lines(window, units)
+    for one in windows:
+        yield from sheet_lines(one, SCALE if scene is None else SCALE * one.unit / scene.unit_m)
+
+
+def _raised(one: StackedSheet) -> Window:
+    """Sheet of a stack with every height counted from the stack's z = 0."""
+    up = one.z / one.scale
+
+    def raised(face: Face) -> Face:
+        x, y, z = face.vertex
+        return replace(face, vertex=(x, y, z + up), land=None if face.land is None else face.land + up)
+
+    return replace(
+        one.window,
+        bodies=tuple(
+            replace(body, front=raised(body.front), back=raised(body.back)) for body in one.window.bodies
+        ),
+    )
 
 
 # -- the scene ---------------------------------------------------------------------------------

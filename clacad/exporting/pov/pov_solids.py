@@ -3,12 +3,14 @@
 A biconvex array is a union of its lenslets, each cut to its cell less a small gap, with its share of the web.
 A slab or a plano sheet is cut in layers along z with small gaps: the cells of each structured face down to
 below their deepest point, and a plain block between. Land around the cells is the outline less the cells.
-Walls of a baffle are black.
+Of two bodies with a joint the first reaches slightly into the second: POV-Ray bends light where it enters
+the second, between their indices, and not where it leaves the first. Walls of a baffle are black.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from math import isnan
 
@@ -29,8 +31,9 @@ from clacad.exporting.pov.pov_cells import (
     prism,
     rows_of_cells,
     tables,
+    vector,
 )
-from clacad.optics.surface import Biconic, Quadric, as_quadric
+from clacad.optics.surface import Quadric, simplest
 from clacad.prescription.cell_heights import faces_that_differ
 from clacad.sheet.face_order import outline_centre
 from clacad.sheet.lattice import Circle
@@ -49,28 +52,19 @@ BLACK = Substance("texture { pigment { rgb 0 } finish { ambient 0 diffuse 0 emis
 
 def quadric_of(face: Face) -> Quadric | None:
     """Quadric that contains a face's points, None where there is none."""
-    if not isinstance(face.surface, Biconic):
-        return face.surface if isinstance(face.surface, Quadric) else None
-    try:
-        return as_quadric(face.surface)
-    except ValueError:
-        return None
+    surface = simplest(face.surface)
+    return surface if isinstance(surface, Quadric) else None
 
 
 def refuse(window: Window) -> None:
     """Reject what exact solids cannot represent.
 
-    Raises
-    ------
-    NotForPov
-        A face that is no quadric, as most biconic ones; joints; opaque land of a web, which lies inside the
-        glass; an array that is rotated, or lenses at individual heights or of many sizes.
+    Raises NotForPov: A face that is no quadric, as most biconic ones; opaque land of a web, which lies inside
+        the glass; an array that is rotated, or lenses at individual heights or of many sizes.
     """
     why = ""
     if any(quadric_of(face) is None for face in window.faces):
         why = "biconic or polynomial faces, which are no quadrics"
-    elif any(body.joined for body in window.bodies):
-        why = "joints, at which one surface would bound two solids"
     elif window.land.opaque and any(body.columnar for body in window.bodies):
         why = "opaque land on a web"
     elif not window.level_and_straight:
@@ -84,25 +78,57 @@ def sheet_lines(window: Window, units: float) -> Iterator[str]:
     refuse(window)
     yield from rows_of_cells(window)
     yield from tables(window)
-    for k, body in enumerate(window.bodies):
+    for k, body in enumerate(_past_joints(window)):
         yield from _columns(window, body, k, units) if body.columnar else _layers(window, body, k, units)
     if window.baffle is not None:
-        for first, second in pairwise(window.bodies):
-            yield from _honeycomb(window, units, first, second)
+        gaps = [(first, second) for first, second in pairwise(window.bodies) if not second.joined]
+        for number, (first, second) in enumerate(gaps):
+            if window.lattice_of(first.arrays[-1]) == window.lattice_of(second.arrays[0]):
+                yield from _honeycomb(window, units, first, second)
+            else:
+                yield from _frusta(window, units, number)
 
 
 # -- bodies ------------------------------------------------------------------------------------
+
+
+def _past_joints(window: Window) -> Iterator[Body]:
+    """Bodies in the order of the light; each that ends at a joint goes a little beyond it."""
+    for body, behind in zip(window.bodies, [*window.bodies[1:], None], strict=True):
+        if behind is None or not behind.joined:
+            yield body
+            continue
+        back, room = body.back, hair(window)
+        x, y, z = back.vertex
+        land = None if back.land is None else back.land + room
+        yield replace(body, back=replace(back, vertex=(x, y, z + room), land=land))
+
+
+def _land_of_cell(
+    window: Window, array: int, units: float, span: HeightRange, spare: float, faces: Sequence[Face]
+) -> list[str]:
+    """Land of a cell between two heights: under the lens too, but not where it protrudes from the lens."""
+    plain = prism(window, array, units, span, spare=spare)
+    if not any(face.sunk for face in faces):
+        return [plain]
+    if window.land.seam == 0.0:
+        return []
+    room = 0.5 * (span.high - span.low)
+    wider = HeightRange(span.low - room, span.high + room)
+    zone = prism(window, array, units, wider, zone=True, spare=keeps_off(window, array) + hair(window))
+    return [f"difference {{ {plain} {zone} }}"]
 
 
 def _columns(window: Window, body: Body, k: int, units: float) -> Iterator[str]:
     """A bundle of lenslets: lens, and its share of the web, cell by cell."""
     array = body.arrays[0]
     depth = _depth(window, body)
-    lens = [_half_space(window, face, units) for face in (body.front, body.back)]
+    lens = [_half_space(window, face, units, depth) for face in (body.front, body.back)]
     parts = [_meeting([*lens, prism(window, array, units, depth, zone=True)])]
     web = _web(body)
     if web is not None:
-        parts.append(prism(window, array, units, web, spare=keeps_off(window, array) + hair(window)))
+        spare = keeps_off(window, array) + hair(window)
+        parts += _land_of_cell(window, array, units, web, spare, (body.front, body.back))
     yield from in_every_cell(window, array, f"Lens{k}", parts, units, depth, _glass(body))
     if web is not None:
         yield from _beside(window, array, units, web, _glass(body))
@@ -141,14 +167,19 @@ def _layer(
     outer, inner = ends
     gap, side = hair(window), 1.0 if outer < inner else -1.0
     depth = HeightRange(min(outer, inner), max(outer, inner))
-    parts = [_meeting([_half_space(window, face, units), prism(window, face.array, units, depth, zone=True)])]
+    parts = [
+        _meeting(
+            [_half_space(window, face, units, depth), prism(window, face.array, units, depth, zone=True)]
+        )
+    ]
     land = None if face.land is None or isnan(face.land) else HeightRange(*sorted((face.land, inner)))
     if land is not None:
         # slightly inside the lens's own prism: where two solids share a face a merge may lose both
         under = HeightRange(
             *sorted((land.low if face.land == land.low else land.high, inner - side * 25.0 * gap))
         )
-        parts.append(prism(window, face.array, units, under, spare=keeps_off(window, face.array) + gap))
+        spare = keeps_off(window, face.array) + gap
+        parts += _land_of_cell(window, face.array, units, under, spare, (face,))
     yield from in_every_cell(window, face.array, name, parts, units, depth, _glass(body))
     if land is None:
         return
@@ -209,13 +240,24 @@ def _depth(window: Window, body: Body) -> HeightRange:
     return HeightRange(max(z0 - room, min(vertices) - reach), min(z1 + room, max(vertices) + reach))
 
 
-def _half_space(window: Window, face: Face, units: float) -> str:
-    """The side of a lens on which its glass is, as a quadric rotated and moved into its cell."""
+def _half_space(window: Window, face: Face, units: float, span: HeightRange) -> str:
+    """The side of a lens on which its glass is, as a quadric rotated and moved into its cell.
+
+    A quadric meets its axis again at 2/κ. Where that lies within `span`, the plane through its centre
+    separates the lens from the other sheet, or from the far end.
+    """
     s = quadric_of(face)
     assert s is not None  # `refuse` has checked this
     a, b, c = (number(v / units) for v in (s.curvature_x, s.curvature_y, s.kappa))
     quadric = f"quadric {{ <{a}, {b}, {c}>, <0, 0, 0>, <0, 0, {number(-2.0 * s.side)}>, 0"
-    return f"{quadric} {matrix(face.rotation, np.array(face.vertex) * units)}{moved(window, face)} }}"
+    place = f"{matrix(face.rotation, np.array(face.vertex) * units)}{moved(window, face)}"
+    other = 2.0 / abs(s.kappa) < span.high - span.low if s.kappa else False
+    concave = min(s.curvature_x, s.curvature_y) < 0.0
+    if not other or (s.kappa > 0.0 and not concave):
+        return f"{quadric} {place} }}"
+    kind = "intersection" if s.kappa < 0.0 else "merge"
+    centre = f"plane {{ <0, 0, {number(-s.side)}>, {number(-units / s.kappa)} }}"
+    return f"{kind} {{ {quadric} }} {centre} {place} }}"
 
 
 def _meeting(parts: list[str]) -> str:
@@ -239,9 +281,7 @@ def _outline(window: Window, body: Body, units: float, span: HeightRange) -> str
         hx, hy = 0.5 * window.outline.width, 0.5 * window.outline.height
         x0, x1, y0, y1 = x - hx, x + hx, y - hy, y + hy
     else:
-        array = body.front.array if body.front.array is not None else body.back.array
-        assert array is not None
-        x0, x1, y0, y1 = window.placements[array].extent(window.lattice)
+        x0, x1, y0, y1 = window.placements[body.arrays[0]].extent(window.lattice)
     corners = [
         f"<{number(units * u)}, {number(units * v)}, {z}>" for u, v, z in ((x0, y0, low), (x1, y1, high))
     ]
@@ -296,15 +336,27 @@ def _beside(window: Window, array: int, units: float, span: HeightRange, look: S
     yield "}"
 
 
+def _frusta(window: Window, units: float, gap: int) -> Iterator[str]:
+    """Black walls in a gap between arrays of different pitch, as triangles."""
+    from clacad.exporting.fixtures.baffle import baffle_meshes
+
+    yield "mesh {"
+    for corners in baffle_meshes(window)[gap].rows():
+        for triangle in units * corners:
+            yield f"  triangle {{ {', '.join(vector(point) for point in triangle)} }}"
+    yield f"  {BLACK}"
+    yield "}"
+
+
 def _honeycomb(window: Window, units: float, first: Body, second: Body) -> Iterator[str]:
     """Black walls between two bodies: each cell's border, sheared to its partner's, less the channel."""
     assert window.baffle is not None
     span = HeightRange(_heights(window, first.back).high, _heights(window, second.front).low)
     rise = span.high - span.low
-    run = np.subtract(window.shifts[second.arrays[0]], window.shifts[first.arrays[0]]) / rise
+    run = np.subtract(window.shifts[second.arrays[0]], window.shifts[first.arrays[-1]]) / rise
     room = 0.01 * rise
     channel = HeightRange(-room, rise + room)
-    array = first.arrays[0]
+    array = first.arrays[-1]
     wall = prism(window, array, units, HeightRange(0.0, rise), spare=0.0)
     free = prism(window, array, units, channel, spare=0.5 * window.baffle.wall)
     shear = (

@@ -35,10 +35,7 @@ def aperture(window: Window, body: Body, face: Face) -> Floats:
     The optical zone's polygon where the lens fills it, else the rim traced in 720 directions from the highest
     point of the lens. Empty where no lens protrudes beyond its land.
 
-    Raises
-    ------
-    CellsDiffer
-        The sheet is non-uniform, and there are rims: each would have an outline of its own.
+    Raises CellsDiffer: The sheet is non-uniform, and there are rims: each would have an outline of its own.
     """
     assert face.array is not None
     zone = optical_tile(window, face.array)
@@ -79,7 +76,7 @@ def _refuse_rims(window: Window, body: Body, face: Face, zone: Floats) -> None:
     with np.errstate(invalid="ignore"):
         fills = np.isfinite(mine)
         if face.land is not None:
-            fills &= face.side * (face.land - mine) > 0.0
+            fills &= face.land_side * (face.land - mine) > 0.0
         if body.columnar:
             front, back = column(window, body, x, y, index)
             fills &= (back > front) & (mine == (front if face is body.front else back))
@@ -98,7 +95,7 @@ def _proud(window: Window, body: Body, face: Face, points: Floats) -> NDArray[np
     with np.errstate(invalid="ignore"):
         proud = np.isfinite(lens)
         if face.land is not None:
-            proud &= face.side * (face.land - lens) > 0.0
+            proud &= face.land_side * (face.land - lens) > 0.0
         if body.columnar:
             front, back = column(window, body, x, y)
             mine = front if face is body.front else back
@@ -266,9 +263,7 @@ def _text(lines: list[tuple[int, str]]) -> str:
 def check_mask(window: Window, face: Face, svg: Path, dxf: Path, scale: float) -> None:
     """Read both files back: count and centres of the lenses, and the same outline in both.
 
-    Raises
-    ------
-    FileDisagrees, UnreadableFile
+    Raises FileDisagrees, UnreadableFile.
     """
     want = np.array(sorted(_centres(window, face, scale))).reshape(-1, 2)
     outlines = []
@@ -293,9 +288,7 @@ def mask_misfit(window: Window, body: Body, face: Face, path: Path, scale: float
 
     Infinite where there are other lenses, or an outline of other corners.
 
-    Raises
-    ------
-    UnreadableFile
+    Raises UnreadableFile.
     """
     outline, centres = (_read_svg if path.suffix.lower() == ".svg" else _read_dxf)(path)
     want = np.array(sorted(_centres(window, face, scale))).reshape(-1, 2)

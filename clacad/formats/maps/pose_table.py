@@ -52,11 +52,7 @@ def columns(window: Window) -> tuple[str, ...]:
 def surface_table(window: Window, scale: float) -> dict[str, Any]:
     """Everything about the faces in millimetres: equation, coefficients, pose in the cell, lattice.
 
-    Parameters
-    ----------
-    window : Window
-    scale : float
-        Millimetres per design unit.
+    scale : Millimetres per design unit.
     """
     lattice = window.lattice
     return {
@@ -98,7 +94,7 @@ def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
         found["cells_turned_deg"] = degrees(place.turn)
     if face.change is not None:
         found |= {
-            "apex_in_cell_mm": [None, None, None if any(face.change.slope) else face.vertex[2] * scale],
+            "apex_in_cell_mm": [None, None, face.vertex[2] * scale if face.change.level else None],
             "apex": "cell by cell in the pose table",
         }
     if face.change is not None and face.change.size is not None:
@@ -216,9 +212,7 @@ def check_table(window: Window, json_path: Path, csv_path: Path, scale: float, c
 
     The equation is solved here from the written coefficients, by bisection, not with the package's surfaces.
 
-    Raises
-    ------
-    FileDisagrees, UnreadableFile
+    Raises FileDisagrees, UnreadableFile.
     """
     try:
         table = json.loads(json_path.read_text(encoding="utf-8"))

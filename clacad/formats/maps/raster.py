@@ -38,23 +38,12 @@ def write_tiff(
 ) -> None:
     """Write blocks of rows (k, width), uint16 or float32, as a TIFF file; row 0 is the top.
 
-    Parameters
-    ----------
     rows : iterable of (k, width) arrays
-    path : Path
-    width, height : int
-    bits : 16 or 32
-        32 are IEEE floats.
-    pixels_per_cm : float
-        Resolution tag.
-    description : str
-        ASCII; contains the calibration.
-
-    Raises
-    ------
-    OSError
-    FileDisagrees
-        More than 4 GiB, or another number of rows than `height`.
+    bits : 16 or 32. 32 are IEEE floats.
+    pixels_per_cm : Resolution tag.
+    description : ASCII; contains the calibration.
+    Raises OSError.
+    Raises FileDisagrees: More than 4 GiB, or another number of rows than `height`.
     """
     head = _tiff_head(width, height, bits, pixels_per_cm, description)
     if len(head) + width * height * bits // 8 > LARGEST_TIFF:
@@ -103,11 +92,8 @@ def _tiff_head(width: int, height: int, bits: int, pixels_per_cm: float, descrip
 def read_tiff(path: Path) -> Pixels:
     """Map a TIFF of the kind that `write_tiff` writes: (height, width), uint16 or float32.
 
-    Raises
-    ------
-    UnreadableFile
-    OverBudget
-        More bytes or pixels than are read.
+    Raises UnreadableFile.
+    Raises OverBudget: More bytes or pixels than are read.
     """
     spent = Spending("tiff", path)
     size = path.stat().st_size
@@ -144,11 +130,8 @@ def write_png(
 ) -> None:
     """Write blocks of rows (k, width) as a 16-bit grey PNG file; row 0 is the top.
 
-    Raises
-    ------
-    OSError
-    FileDisagrees
-        Another number of rows than `height`.
+    Raises OSError.
+    Raises FileDisagrees: Another number of rows than `height`.
     """
     packer = zlib.compressobj(6)
     dots = min(round(pixels_per_metre), (1 << 31) - 1)
@@ -191,12 +174,8 @@ def _chunks(data: bytes, spent: Spending) -> Iterator[tuple[bytes, bytes]]:
 def read_png(path: Path) -> NDArray[np.uint16]:
     """Read a PNG of the kind that `write_png` writes: (height, width) uint16.
 
-    Raises
-    ------
-    UnreadableFile
-        Damaged or of another kind.
-    OverBudget
-        More bytes, pixels or seconds than are read.
+    Raises UnreadableFile: Damaged or of another kind.
+    Raises OverBudget: More bytes, pixels or seconds than are read.
     """
     spent = Spending("png", path)
     data = path.read_bytes()

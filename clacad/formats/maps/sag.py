@@ -33,21 +33,13 @@ NO_DATA = -(2.0**20)
 class HeightMap:
     """One optical face as a raster.
 
-    Parameters
-    ----------
     window, body, face
-    label : str
-        "array1-front" and so on; part of file names.
-    pixel : float
-        Side of a pixel, design units.
-    width, height : int
-        Pixels along x and y.
-    origin : (x, y), lengths
-        Lower left corner of the map.
-    reference : float
-        Sheet-frame z of the plane heights are counted from.
-    low, high : floats
-        Range of heights, design units, exact over the pixels.
+    label : "array1-front" and so on; part of file names.
+    pixel : Side of a pixel, design units.
+    width, height : Pixels along x and y.
+    origin : (x, y), lengths. Lower left corner of the map.
+    reference : Sheet-frame z of the plane heights are counted from.
+    low, high : Range of heights, design units, exact over the pixels.
     """
 
     window: Window
@@ -137,10 +129,8 @@ def samples_per_cell(window: Window, asked: int | None, most: int = MOST_SAMPLES
 def height_map(window: Window, body: Body, face: Face, label: str, per_cell: int) -> HeightMap:
     """Lay out the map of a face and find its range of heights.
 
-    Raises
-    ------
-    FileDisagrees
-        The face is undercut: its graph ends inside the optical zone and there is no land below.
+    Raises FileDisagrees: The face is undercut: its graph ends inside the optical zone and there is no land
+        below.
     """
     plain = plain_map(window, body, face, label, per_cell)
     alike = body.front.change is None and body.back.change is None
@@ -200,14 +190,8 @@ def _range_of_pixels(map_: HeightMap) -> tuple[float, float]:
 def write_map(map_: HeightMap, path: Path, kind: str, scale: float) -> None:
     """Write a height map as "tiff32" (millimetres), "tiff16" or "png16" (levels).
 
-    Parameters
-    ----------
-    scale : float
-        Millimetres per design unit.
-
-    Raises
-    ------
-    OSError, FileDisagrees
+    scale : Millimetres per design unit.
+    Raises OSError, FileDisagrees.
     """
     text = (
         f"clacad height map {map_.label}, pixel {map_.pixel * scale!r} mm, low {map_.low * scale!r} mm, step"
@@ -244,9 +228,7 @@ def map_levels(map_: HeightMap, heights: Floats) -> NDArray[np.uint16]:
 def check_map(map_: HeightMap, path: Path, kind: str, scale: float) -> None:
     """Read a map back and compare about every 17th pixel with the lens formula of its cell.
 
-    Raises
-    ------
-    FileDisagrees, UnreadableFile
+    Raises FileDisagrees, UnreadableFile.
     """
     pixels: Pixels = read_png(path) if kind == "png16" else read_tiff(path)
     if pixels.shape != (map_.height, map_.width):
@@ -311,8 +293,7 @@ def _cell_points(
     """Points (n, 2) of a grid inside a cell, about its centre; heights (n,) there; outward unit normals (n,
     3).
 
-    index : (2,) or None
-        The cell, on a non-uniform sheet.
+    index : (2,) or None. The cell, on a non-uniform sheet.
     """
     face = face if index is None else window.in_cell(face, index)
     assert face.array is not None
@@ -337,9 +318,7 @@ def _cell_points(
 def check_points(window: Window, face: Face, path: Path, scale: float, count: int) -> None:
     """Read a point file back and compare 2,000 of its points with the lens formula of their cells.
 
-    Raises
-    ------
-    FileDisagrees, UnreadableFile
+    Raises FileDisagrees, UnreadableFile.
     """
     assert face.array is not None
     table = _points_of(path, _picked_lines(path, count))
@@ -375,11 +354,8 @@ def read_points(path: Path) -> Iterator[Floats]:
 
     Tables of a plain cloud, without normals, are (k, 3). Empty lines and lines that begin with # are skipped.
 
-    Raises
-    ------
-    UnreadableFile
-    OverBudget
-        More bytes, points or seconds than are read.
+    Raises UnreadableFile.
+    Raises OverBudget: More bytes, points or seconds than are read.
     """
     spent = Spending("points", path)
     columns = 0
@@ -432,9 +408,7 @@ def write_grid_sag(window: Window, face: Face, per_cell: int, path: Path, scale:
 def check_grid_sag(face: Face, path: Path, scale: float) -> None:
     """Read a grid sag file back and compare it with the surface's own `sag` in its lens frame.
 
-    Raises
-    ------
-    FileDisagrees, UnreadableFile
+    Raises FileDisagrees, UnreadableFile.
     """
     found, _ = read_grid_sag(face, path, scale)
     there = np.isfinite(found[:, 2])
@@ -448,13 +422,8 @@ def check_grid_sag(face: Face, path: Path, scale: float) -> None:
 def read_grid_sag(face: Face, path: Path, scale: float) -> tuple[Floats, Floats]:
     """Read a grid sag file.
 
-    Parameters
-    ----------
-    face : Face
-        Face whose apex plane sag is counted from.
-    path : Path
-    scale : float
-        Millimetres per design unit.
+    face : Face whose apex plane sag is counted from.
+    scale : Millimetres per design unit.
 
     Returns
     -------
@@ -463,11 +432,8 @@ def read_grid_sag(face: Face, path: Path, scale: float) -> tuple[Floats, Floats]
     step : (2,) lengths
         Spacing of nodes.
 
-    Raises
-    ------
-    UnreadableFile
-    OverBudget
-        More bytes, nodes or seconds than are read.
+    Raises UnreadableFile.
+    Raises OverBudget: More bytes, nodes or seconds than are read.
     """
     nx, ny, dx, dy, table = _grid_numbers(path)
     if table.shape != (nx * ny, 5):

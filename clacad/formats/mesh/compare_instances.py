@@ -46,18 +46,12 @@ Side = tuple[int, int]
 class PartPlaces:
     """Places of one object on the lattice.
 
-    Parameters
-    ----------
-    parts : tuple of Part
-        Meshes that share the places.
-    cells : mapping
-        Cells (k, 2) that the object covers at its first place, by body and side.
-    step : (m, 2) ints
-        Nearest whole index steps from the first place to each place.
+    parts : Meshes that share the places.
+    cells : Cells (k, 2) that the object covers at its first place, by body and side.
+    step : (m, 2) ints. Nearest whole index steps from the first place to each place.
     off : (m,) lengths, design units
         Largest distance of a corner of its box from its lattice position, in the orientation of most places.
-    spills : bool
-        Whether facets reach into cells that it does not cover.
+    spills : Whether facets reach into cells that it does not cover.
     """
 
     parts: tuple[Part, ...]
@@ -88,17 +82,12 @@ class PartPlaces:
 class RowPlaces:
     """Places of one object of one cell in rows that fill the lattice, each cell once.
 
-    Parameters
-    ----------
-    parts : tuple of Part
-        Meshes that share the places.
-    sides : tuple of (body, side)
-        Sides on which it has facets.
+    parts : Meshes that share the places.
+    sides : tuple of (body, side). Sides on which it has facets.
     rows, columns : (m, 2), (n, 2) ints
         Cell of the first place of each row, and index steps from there to the other places of a row.
-    worst : (length, (i, j))
-        Sum of the largest row error and the largest error within a row, and the cell where both apply. No
-        place has a larger error, except for rounding.
+    worst : (length, (i, j)). Sum of the largest row error and the largest error within a row, and the cell
+        where both apply. No place has a larger error, except for rounding.
     """
 
     parts: tuple[Part, ...]
@@ -129,20 +118,13 @@ def _only_cell(cells: dict[Side, Ints], spills: bool) -> Cell | None:
 class Standing:
     """Comparison of every place of a file with the lattice.
 
-    Parameters
-    ----------
-    places : tuple of PartPlaces or RowPlaces
-    count : int
-        Number of places that were compared.
-    worst : float, design units
-    worst_cell : (i, j) or None
-        Cell of the place with the largest error.
-    limit : float, design units
-        Rounding of the places' coordinates to float32.
+    count : Number of places that were compared.
+    worst : design units
+    worst_cell : (i, j) or None. Cell of the place with the largest error.
+    limit : design units. Rounding of the places' coordinates to float32.
     missing, doubled, outside : lists of (i, j)
         Cells without a place, cells with several places, and places outside the sheet; the first few.
-    faults : (int, int, int)
-        Number of each of the three.
+    faults : (int, int, int). Number of each of the three.
     """
 
     places: tuple[PartPlaces, ...] | tuple[RowPlaces, ...]
@@ -193,12 +175,7 @@ def _one(what: str, cell: Cell) -> str:
 def standing(mesh: FileMesh, window: Window, factor: float) -> Standing | None:
     """Compare every place of the parts that represent cells with the lattice; None where there are none.
 
-    Parameters
-    ----------
-    mesh : FileMesh
-    window : Window
-    factor : float
-        Design units per file unit.
+    factor : Design units per file unit.
     """
     limit = placing_room(window)
     if in_rows := _in_rows(mesh, window, factor, limit):

@@ -25,22 +25,13 @@ SAMPLES = 6000
 class Promise:
     """Properties of a written mesh, as the mesher reports them.
 
-    Parameters
-    ----------
-    facets : int
-        Number of facets; every instance is counted.
-    sag_error : float
-        Largest distance of facets from the exact surface, design units.
-    merge : float
-        Largest height by which vertices may have been moved to close tiny steps, design units.
-    single : bool
-        Whether coordinates were rounded to float32.
-    bevel : float
-        Width of the bevels at saddles, design units; the corners of the cells are then not compared.
-    added : float
-        Volume that the bevels add, less what engraved letters take, design units cubed.
-    pockets : tuple of Pocket
-        Where letters are engraved.
+    facets : Number of facets; every instance is counted.
+    sag_error : Largest distance of facets from the exact surface, design units.
+    merge : Largest height by which vertices may have been moved to close tiny steps, design units.
+    single : Whether coordinates were rounded to float32.
+    bevel : Width of the bevels at saddles, design units; the corners of the cells are then not compared.
+    added : Volume that the bevels add, less what engraved letters take, design units cubed.
+    pockets : Where letters are engraved.
     """
 
     facets: int
@@ -66,23 +57,12 @@ def compare_mesh(
 ) -> Verdict:
     """Compare a file with the design from which it was made.
 
-    Parameters
-    ----------
-    mesh : FileMesh
-        As read back.
-    window : Window
-        All of its bodies are expected in the file.
-    promise : Promise
-    name : str
-        File name, for messages.
-    volume : Integral or None
-        Exact volume of the window's bodies (`sheet.volume_and_extent.body_volume`); None: the volume is not
-        compared.
-
-    Raises
-    ------
-    FileDisagrees
-        The message states the first difference found, with both numbers.
+    mesh : As read back.
+    window : All of its bodies are expected in the file.
+    name : File name, for messages.
+    volume : Exact volume of the window's bodies (`sheet.volume_and_extent.body_volume`); None: the volume is
+        not compared.
+    Raises FileDisagrees: The message states the first difference found, with both numbers.
     """
     scale = (mesh.unit if mesh.unit is not None else 1e-3) / window.unit
     sample = _Sample.of(mesh)
@@ -142,10 +122,8 @@ class _Sample:
     The facets are collected while they are streamed, unless a part is repeated.
 
 
-    chosen : (n,) ints, ascending
-        Indices of the sampled facets; every place of a part is counted.
-    passed : int
-        Number of facets streamed so far.
+    chosen : (n,) ints, ascending. Indices of the sampled facets; every place of a part is counted.
+    passed : Number of facets streamed so far.
     """
 
     chosen: Ints

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.arrays import welded
+from clacad.base.arrays import distinct, welded
 from clacad.base.types import Bools, Floats, Ints
 from clacad.formats.placements import ALONE, Placements
 from clacad.storage.errors import UnreadableFile
@@ -39,40 +40,113 @@ class Soup(Protocol):
         """Corners (k, 3, 3) of a run of triangles."""
 
 
+@dataclass(frozen=True, slots=True)
+class FileRows:
+    """Rows of numbers in a file, read from it on each access; memory is that of the rows.
+
+    path : File.
+    start : Byte of the first row.
+    kind : Type of a row.
+    count : Number of rows.
+    column : Name of the numbers of a row that are used, where `kind` has names.
+    """
+
+    path: Path
+    start: int
+    kind: np.dtype[Any]
+    count: int
+    column: str | None = None
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return self.count
+
+    def __getitem__(self, which: slice | Ints, /) -> NDArray[Any]:
+        """Rows of a run, or those of chosen numbers, in the shape of the numbers.
+
+        Raises UnreadableFile: The file was cut since.
+        """
+        if isinstance(which, slice):
+            start, stop, step = which.indices(self.count)
+            return self._read(start, max(start, stop))[::step]
+        if not which.size:
+            return self._read(0, 0)[which.astype(np.int64)]
+        low, high = int(which.min()), int(which.max()) + 1
+        if high - low <= 4 * which.size + CHUNK:
+            return self._read(low, high)[which - low]
+        run, some = which // CHUNK, self._read(0, 0)
+        found = np.empty((*which.shape, *some.shape[1:]), dtype=some.dtype)
+        for k in distinct(run.ravel()).tolist():
+            mine = run == k
+            found[mine] = self._read(k * CHUNK, min((k + 1) * CHUNK, self.count))[which[mine] - k * CHUNK]
+        return found
+
+    def _read(self, start: int, stop: int) -> NDArray[Any]:
+        with self.path.open("rb") as stream:
+            stream.seek(self.start + start * self.kind.itemsize)
+            block = stream.read((stop - start) * self.kind.itemsize)
+        if len(block) != (stop - start) * self.kind.itemsize:
+            raise UnreadableFile(f"{self.path.name}: it ends before row {stop:,}")
+        rows = np.frombuffer(block, dtype=self.kind)
+        return rows if self.column is None else rows[self.column]
+
+
+HELD = 1 << 24
+"""Bytes of an array up to which it is read once and held."""
+
+
+def rows_of(rows: FileRows) -> FileRows | NDArray[Any]:
+    """The same rows, in memory if they are few."""
+    return rows[:] if rows.count * rows.kind.itemsize <= HELD else rows
+
+
+NO_NUMBER, NO_VERTEX = "a vertex that is not a number", "a triangle that uses a vertex that is not there"
+"""Faults of the numbers of a mesh."""
+
+
+def fault_of(vertices: Table, triangles: Table, normals: Table | None = None) -> str | None:
+    """What is wrong with the numbers of a mesh, a noun; None where nothing is."""
+    if any(
+        not np.isfinite(rows[first : first + CHUNK]).all()
+        for rows in (vertices, *(() if normals is None else (normals,)))
+        for first in range(0, len(rows), CHUNK)
+    ):
+        return NO_NUMBER
+    for first in range(0, len(triangles), CHUNK):
+        some = triangles[first : first + CHUNK]
+        if some.min() < 0 or some.max() >= len(vertices):
+            return NO_VERTEX
+    return None
+
+
+Table = FileRows | NDArray[Any]
+
+
 @dataclass(frozen=True, eq=False)
 class Part:
     """One mesh of a file and its placements.
 
-    Parameters
-    ----------
-    name : str
-        As written in the file, "" where there is none.
-    vertices : (v, 3) array or None, file unit
-    triangles : (t, 3) int array or None
-        Rows of `vertices`, counter-clockwise seen from outside.
+    name : As written in the file, "" where there is none.
+    vertices : (v, 3) array, rows of the file, or None, file unit
+    triangles : (t, 3) ints or None. Rows of `vertices`, counter-clockwise seen from outside.
     soup : (t, 3, 3) float32 array, or an object that slices like one, or None
         Corners of each triangle instead of the two above (STL); usually read from the file when sliced.
-    normals : (v, 3) array or None
-        Unit vertex normals, where the format has them.
-    places : Placements
-        Placements of the mesh in the file.
+    normals : (v, 3) or None. Unit vertex normals, where the format has them.
+    places : Placements of the mesh in the file.
     """
 
     name: str
-    vertices: Floats | None = None
-    triangles: Ints | None = None
+    vertices: Table | None = None
+    triangles: Table | None = None
     soup: Soup | None = None
-    normals: Floats | None = None
+    normals: Table | None = None
     places: Placements = field(default_factory=lambda: Placements(ALONE))
 
     @cached_property
     def placements(self) -> Floats:
         """All placements (m, 4, 3) as affine maps in row-vector form: x' = x @ place[:3] + place[3].
 
-        Raises
-        ------
-        UnreadableFile
-            There are too many to be written out.
+        Raises UnreadableFile: There are too many to be written out.
         """
         return np.ascontiguousarray(np.swapaxes(self.places.all(), 1, 2))
 
@@ -128,14 +202,16 @@ class Part:
         assert self.vertices is not None
         assert self.triangles is not None
         used = self._used()
-        vertices, index = welded(np.asarray(self.vertices[used], dtype=np.float64))
-        return vertices, index[(np.cumsum(used) - 1)[self.triangles]]
+        vertices, index = welded(np.asarray(self.vertices[np.flatnonzero(used)], dtype=np.float64))
+        return vertices, index[(np.cumsum(used) - 1)[self.triangles[:]]]
 
     def _used(self) -> Bools:
         """Which of its vertices (v,) are corners of facets."""
         assert self.vertices is not None
+        assert self.triangles is not None
         used = np.zeros(len(self.vertices), dtype=np.bool_)
-        used[self.triangles] = True
+        for start in range(0, len(self.triangles), CHUNK):
+            used[self.triangles[start : start + CHUNK]] = True
         return used
 
     def own_box(self) -> tuple[Floats, Floats]:
@@ -143,8 +219,13 @@ class Part:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         if self.soup is None and self.facet_count:
             assert self.vertices is not None
-            corners = np.asarray(self.vertices[self._used()], dtype=np.float64)
-            return corners.min(axis=0), corners.max(axis=0)
+            used = self._used()
+            for start in range(0, len(used), CHUNK):
+                corners = np.asarray(self.vertices[start : start + CHUNK], dtype=np.float64)
+                corners = corners[used[start : start + CHUNK]]
+                low = np.minimum(low, corners.min(axis=0, initial=np.inf))
+                high = np.maximum(high, corners.max(axis=0, initial=-np.inf))
+            return low, high
         for start in range(0, self.facet_count, CHUNK):
             corners = self.corners(start, start + CHUNK)
             low = np.minimum(low, corners.min(axis=(0, 1)))
@@ -193,15 +274,9 @@ class Part:
 class FileMesh:
     """A mesh file that was read.
 
-    Parameters
-    ----------
-    format : str
-        "stl-binary", "stl-ascii", "3mf", "ply", "glb", "obj".
-    parts : tuple of Part
-    unit : float or None
-        Metres per file unit; None when the format does not define it.
-    name : str
-        Name in the file (STL header text, 3MF title), "" if there is none.
+    format : "stl-binary", "stl-ascii", "3mf", "ply", "glb", "obj".
+    unit : Metres per file unit; None when the format does not define it.
+    name : Name in the file (STL header text, 3MF title), "" if there is none.
     """
 
     format: str
@@ -227,10 +302,8 @@ class FileMesh:
     def chunks(self, size: int = CHUNK) -> Iterator[Floats]:
         """Corners of all facets, (k, 3, 3) at a time, file unit; memory does not grow with the file.
 
-        Raises
-        ------
-        UnreadableFile
-            Its repeated parts represent more facets than MOST_EXPANDED: examine each part once.
+        Raises UnreadableFile: Its repeated parts represent more facets than MOST_EXPANDED: examine each part
+            once.
         """
         if not self.expandable:
             raise UnreadableFile(f"its parts represent {self.facet_count} facets, more than {MOST_EXPANDED}")

@@ -7,17 +7,18 @@ is described by KHR_materials_transmission and KHR_materials_ior.
 from __future__ import annotations
 
 import json
-import math
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryFile
+from typing import IO, Any
 
 import numpy as np
 
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Floats
 from clacad.base.units import MILLIMETRE
-from clacad.formats.mesh.file_mesh import FileMesh, Part, put
+from clacad.formats.mesh.file_mesh import NO_VERTEX, FileMesh, FileRows, Part, Table, fault_of, put, rows_of
 from clacad.formats.placements import Piece, Placements
 from clacad.storage.errors import FileDisagrees, OverBudget, UnreadableFile
 from clacad.storage.reading import Spending
@@ -38,82 +39,56 @@ def write_glb(
 ) -> None:
     """Write pieces as one GLB file.
 
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        Each with `normals`.
-    path : Path
-    scale : float
-        Millimetres per design unit.
-    name : str
-    gpu_instancing : bool
-        One node for all cells of a body, their positions in an array (EXT_mesh_gpu_instancing, float32). Such
-        files are far smaller; viewers without the extension reject them.
-
-    Raises
-    ------
-    OSError
-    FileDisagrees
-        A value is not finite, or a piece has no normals.
+    pieces : Each with `normals`.
+    scale : Millimetres per design unit.
+    gpu_instancing : One node for all cells of a body, their positions in an array (EXT_mesh_gpu_instancing,
+        float32). Such files are far smaller; viewers without the extension reject them.
+    Raises OSError.
+    Raises FileDisagrees: A value is not finite, or a piece has no normals.
     """
-    binary = bytearray()
     document = _begun(name)
-    for piece in pieces:
-        _add_mesh(document, binary, piece, scale)
-        mesh = len(document["meshes"]) - 1
-        if gpu_instancing and piece.places is not None:
-            _add_instances(document, binary, piece, mesh, scale)
-        else:
-            _add_nodes(document, piece, mesh, scale)
-    document["buffers"] = [{"byteLength": len(binary)}]
-    _write_chunks(path, document, binary)
+    with TemporaryFile(dir=path.parent) as binary:
+        for piece in pieces:
+            _add_mesh(document, binary, piece, scale, path.parent)
+            mesh = len(document["meshes"]) - 1
+            if gpu_instancing and piece.places is not None:
+                _add_instances(document, binary, piece, mesh, scale)
+            else:
+                _add_nodes(document, piece, mesh, scale)
+        _write_chunks(path, document, binary)
 
 
 def write_glb_stack(placed: Sequence[PlacedPieces], path: Path, name: str) -> None:
     """Write several sheets as one GLB file, each a separate node at its position.
 
-    Parameters
-    ----------
-    placed : sequence of PlacedPieces
-        The meshes of a sheet that occurs twice are written once.
-    path : Path
-    name : str
-
-    Raises
-    ------
-    OSError, FileDisagrees
-        As in `write_glb`.
+    placed : The meshes of a sheet that occurs twice are written once.
+    Raises OSError, FileDisagrees: As in `write_glb`.
     """
-    binary = bytearray()
     document = _begun(name)
     made: dict[int, list[int]] = {}
-    for one in placed:
-        if id(one.pieces) not in made:
-            made[id(one.pieces)] = []
-            for piece in one.pieces:
-                _add_mesh(document, binary, piece, one.scale)
-                made[id(one.pieces)].append(len(document["meshes"]) - 1)
-        nodes = document["nodes"]
-        document["nodes"][0]["children"].append(len(nodes))
-        sheet = {"name": one.name, "translation": [0.0, 0.0, one.z + 0.0], "children": []}
-        nodes.append(sheet)
-        for piece, mesh in zip(one.pieces, made[id(one.pieces)], strict=True):
-            _add_nodes(document, piece, mesh, one.scale, sheet)
-    document["buffers"] = [{"byteLength": len(binary)}]
-    _write_chunks(path, document, binary)
+    with TemporaryFile(dir=path.parent) as binary:
+        for one in placed:
+            if id(one.pieces) not in made:
+                made[id(one.pieces)] = []
+                for piece in one.pieces:
+                    _add_mesh(document, binary, piece, one.scale, path.parent)
+                    made[id(one.pieces)].append(len(document["meshes"]) - 1)
+            nodes = document["nodes"]
+            document["nodes"][0]["children"].append(len(nodes))
+            sheet = {"name": one.name, "translation": [0.0, 0.0, one.z + 0.0], "children": []}
+            nodes.append(sheet)
+            for piece, mesh in zip(one.pieces, made[id(one.pieces)], strict=True):
+                _add_nodes(document, piece, mesh, one.scale, sheet)
+        _write_chunks(path, document, binary)
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedPieces:
     """The meshes of one sheet of several in a file.
 
-    name : str
-    pieces : sequence of Piece
-        Each with `normals`.
-    scale : float
-        Millimetres per unit of the sheet.
-    z : float, mm
-        Position of the sheet's own z = 0.
+    pieces : Each with `normals`.
+    scale : Millimetres per unit of the sheet.
+    z : mm. Position of the sheet's own z = 0.
     """
 
     name: str
@@ -137,27 +112,51 @@ def _begun(name: str) -> dict[str, Any]:
     }
 
 
-def _write_chunks(path: Path, document: dict[str, Any], binary: bytearray) -> None:
+def _write_chunks(path: Path, document: dict[str, Any], binary: IO[bytes]) -> None:
     """Write the JSON and the binary chunk of a GLB file."""
+    size = binary.tell()
+    document["buffers"] = [{"byteLength": size}]
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
-    length = 12 + 8 + len(text) + 8 + len(binary)
+    length = 12 + 8 + len(text) + 8 + size
     if length >= 1 << 32:
         raise FileDisagrees(f"{length} bytes do not fit the 32-bit length of a GLB file")
     with path.open("wb") as stream:
         stream.write(_MAGIC + _words(2, length) + _words(len(text), _JSON))
         stream.write(text)
-        stream.write(_words(len(binary), _BIN))
-        stream.write(binary)
+        stream.write(_words(size, _BIN))
+        _append(stream, binary)
+
+
+def _append(stream: IO[bytes], part: IO[bytes]) -> None:
+    part.seek(0)
+    shutil.copyfileobj(part, stream)
 
 
 def _words(*values: int) -> bytes:
     return b"".join(value.to_bytes(4, "little") for value in values)
 
 
-def _add_mesh(document: dict[str, Any], binary: bytearray, piece: Piece, scale: float) -> None:
-    """Append the triangles of a piece, and its glass as a material, to the document."""
-    position, normal = (values.astype("<f4") + np.float32(0.0) for values in piece.sound(scale))
+def _add_mesh(document: dict[str, Any], binary: IO[bytes], piece: Piece, scale: float, folder: Path) -> None:
+    """Append the triangles of a piece, and its glass as a material, to the document.
+
+    folder : Where normals and triangles wait until all positions are written.
+    """
+    begin, vertices, facets, ends = binary.tell(), 0, 0, np.empty((0, 3), dtype="<f4")
+    with TemporaryFile(dir=folder) as normals, TemporaryFile(dir=folder) as corners:
+        for block in piece.blocks():
+            position, normal = (
+                values.astype("<f4") + np.float32(0.0) for values in block.sound(piece.name, scale)
+            )
+            if len(position):
+                ends = np.concatenate([ends, position])
+                ends = np.stack([ends.min(axis=0), ends.max(axis=0)])
+            vertices, facets = vertices + len(position), facets + len(block.triangles)
+            for stream, rows in ((binary, position), (normals, normal)):
+                stream.write(np.ascontiguousarray(rows).tobytes())
+            corners.write(np.ascontiguousarray(block.triangles, dtype="<u4").tobytes())
+        _append(binary, normals)
+        _append(binary, corners)
     material = {
         "name": f"{piece.name} material",
         "pbrMetallicRoughness": {
@@ -171,60 +170,54 @@ def _add_mesh(document: dict[str, Any], binary: bytearray, piece: Piece, scale: 
         },
     }
     document["materials"].append(material)
-    attributes = {
-        "POSITION": _add_accessor(document, binary, position, 5126, "VEC3", 34962, bounds=True),
-        "NORMAL": _add_accessor(document, binary, normal, 5126, "VEC3", 34962),
-    }
-    corners = np.asarray(piece.triangles, dtype="<u4").reshape(-1)
+    number = len(document["accessors"])
+    for size, count, component, kind, target in (
+        (12 * vertices, vertices, 5126, "VEC3", 34962),
+        (12 * vertices, vertices, 5126, "VEC3", 34962),
+        (12 * facets, 3 * facets, 5125, "SCALAR", 34963),
+    ):
+        _add_accessor(document, (begin, size), count, component, kind, target)
+        begin += size
+    lowest, highest = ends.tolist()
+    document["accessors"][number] |= {"min": lowest, "max": highest}
     primitive = {
-        "attributes": attributes,
+        "attributes": {"POSITION": number, "NORMAL": number + 1},
         "mode": 4,
         "material": len(document["materials"]) - 1,
-        "indices": _add_accessor(document, binary, corners, 5125, "SCALAR", 34963),
+        "indices": number + 2,
     }
     document["meshes"].append({"name": piece.name, "primitives": [primitive]})
 
 
 def _add_accessor(
     document: dict[str, Any],
-    binary: bytearray,
-    array: np.ndarray[Any, Any],
+    span: tuple[int, int],
+    count: int,
     component: int,
     kind: str,
-    target: int,
-    bounds: bool = False,
-) -> int:
-    view = {"buffer": 0, "byteOffset": len(binary), "byteLength": array.nbytes, "target": target}
-    binary.extend(np.ascontiguousarray(array).tobytes())
-    document["bufferViews"].append(view)
-    accessor: dict[str, Any] = {
-        "bufferView": len(document["bufferViews"]) - 1,
-        "componentType": component,
-        "count": len(array),
-        "type": kind,
-    }
-    if bounds:
-        accessor["min"], accessor["max"] = array.min(axis=0).tolist(), array.max(axis=0).tolist()
-    document["accessors"].append(accessor)
-    return len(document["accessors"]) - 1
+    target: int | None = None,
+) -> None:
+    """Describe numbers of the binary chunk; `span`: their first byte and their bytes."""
+    view = {"buffer": 0, "byteOffset": span[0], "byteLength": span[1]}
+    document["bufferViews"].append(view if target is None else view | {"target": target})
+    document["accessors"].append(
+        {
+            "bufferView": len(document["bufferViews"]) - 1,
+            "componentType": component,
+            "count": count,
+            "type": kind,
+        }
+    )
 
 
 def _add_instances(
-    document: dict[str, Any], binary: bytearray, piece: Piece, mesh: int, scale: float
+    document: dict[str, Any], binary: IO[bytes], piece: Piece, mesh: int, scale: float
 ) -> None:
     """Append one node whose mesh is placed at every position of the piece (EXT_mesh_gpu_instancing)."""
     assert piece.places is not None
     place = np.asarray(piece.places.centres() * scale, dtype="<f4") + np.float32(0.0)
-    view = {"buffer": 0, "byteOffset": len(binary), "byteLength": place.nbytes}
-    binary.extend(np.ascontiguousarray(place).tobytes())
-    document["bufferViews"].append(view)
-    accessor = {
-        "bufferView": len(document["bufferViews"]) - 1,
-        "componentType": 5126,
-        "count": len(place),
-        "type": "VEC3",
-    }
-    document["accessors"].append(accessor)
+    _add_accessor(document, (binary.tell(), place.nbytes), len(place), 5126, "VEC3")
+    binary.write(np.ascontiguousarray(place).tobytes())
     document["nodes"][0]["children"].append(len(document["nodes"]))
     where = {INSTANCING: {"attributes": {"TRANSLATION": len(document["accessors"]) - 1}}}
     document["nodes"].append({"name": piece.name, "mesh": mesh, "extensions": where})
@@ -257,17 +250,14 @@ def _add_nodes(
 def read_glb(path: Path) -> FileMesh:
     """Read a GLB file whose data are inside it; instances stay instances.
 
-    Raises
-    ------
-    UnreadableFile
-        Truncated, inconsistent, needs another file or an extension that changes the geometry.
-    OverBudget
-        More bytes, vertices, places or seconds than are read.
+    Raises UnreadableFile: Truncated, inconsistent, needs another file or an extension that changes the
+        geometry.
+    Raises OverBudget: More bytes, vertices, places or seconds than are read.
     """
     spent = Spending("glb", path)
     data = np.memmap(path, dtype=np.uint8, mode="r") if path.stat().st_size else np.zeros(0, np.uint8)
     try:
-        return _scene(_Buffers(*_chunks(data), spent))
+        return _scene(_Buffers(path, *_chunks(data), spent))
     except OverBudget:
         raise
     except UnreadableFile as error:
@@ -286,15 +276,17 @@ def read_glb(path: Path) -> FileMesh:
 
 @dataclass(frozen=True, eq=False)
 class _Buffers:
-    """A GLB file: its JSON, its binary chunk, and the resources spent on reading it."""
+    """A GLB file: its JSON, first byte and bytes of its binary chunk, and the resources spent on reading."""
 
+    path: Path
     document: dict[str, Any]
-    binary: np.ndarray[Any, Any]
+    start: int
+    size: int
     spent: Spending
 
 
-def _chunks(data: np.ndarray[Any, Any]) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
-    """The JSON text of a GLB file as a mapping, and its binary chunk (bytes,)."""
+def _chunks(data: np.ndarray[Any, Any]) -> tuple[dict[str, Any], int, int]:
+    """The JSON text of a GLB file as a mapping; first byte and bytes of its binary chunk."""
     if len(data) < 20 or bytes(data[:4]) != _MAGIC:
         raise UnreadableFile("not a GLB file")
     version, length, size, kind = (int(v) for v in np.frombuffer(bytes(data[4:20]), "<u4"))
@@ -311,7 +303,7 @@ def _chunks(data: np.ndarray[Any, Any]) -> tuple[dict[str, Any], np.ndarray[Any,
         raise UnreadableFile("its binary chunk has another length than it says")
     if not isinstance(document, dict):
         raise UnreadableFile("its JSON is not an object")
-    return document, rest[8:]
+    return document, length - size, size
 
 
 def _scene(file: _Buffers) -> FileMesh:
@@ -393,7 +385,7 @@ def _instances(file: _Buffers, node: dict[str, Any]) -> Floats:
     attributes = node["extensions"][INSTANCING]["attributes"]
     if set(attributes) != {"TRANSLATION"}:
         raise UnreadableFile("instances that are turned or scaled are not read")
-    offsets = _accessed(file, attributes["TRANSLATION"], 3).astype(np.float64)
+    offsets = _accessed(file, attributes["TRANSLATION"], 3)[:].astype(np.float64)
     if len(offsets) > MOST_NODES or not np.isfinite(offsets).all():
         raise UnreadableFile("its instances are too many, or have no place")
     file.spent.count(_PLACED * len(offsets))
@@ -403,10 +395,7 @@ def _instances(file: _Buffers, node: dict[str, Any]) -> Floats:
 def _together(places: Floats, above: Floats) -> Floats:
     """Placements (…, 4, 4) below another one, as row-vector matrices.
 
-    Raises
-    ------
-    UnreadableFile
-        The product of nested scales is not a number.
+    Raises UnreadableFile: The product of nested scales is not a number.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = np.asarray(places @ above)
@@ -444,27 +433,29 @@ def _parts(file: _Buffers, number: int, places: Placements) -> list[Part]:
     for primitive in mesh["primitives"]:
         if primitive.get("mode", 4) != 4 or "extensions" in primitive:
             raise UnreadableFile(f"mesh {number} is not plain triangles")
-        vertices = _accessed(file, primitive["attributes"]["POSITION"], 3).astype(np.float64)
-        normals: Floats | None = None
+        vertices = _accessed(file, primitive["attributes"]["POSITION"], 3)
+        normals = None
         if "NORMAL" in primitive["attributes"]:
-            normals = _accessed(file, primitive["attributes"]["NORMAL"], 3).astype(np.float64)
+            normals = _accessed(file, primitive["attributes"]["NORMAL"], 3)
         if "indices" in primitive:
-            corners: Ints = _accessed(file, primitive["indices"], 1).astype(np.int64).reshape(-1)
+            triangles = _accessed(file, primitive["indices"], 1, 3)
         else:
-            corners = np.arange(len(vertices), dtype=np.int64)
-        if len(corners) == 0 or len(corners) % 3 or corners.min() < 0 or corners.max() >= len(vertices):
+            triangles = np.arange(len(vertices), dtype=np.int64)[: len(vertices) // 3 * 3].reshape(-1, 3)
+        why = fault_of(vertices, triangles)
+        if len(triangles) == 0 or why == NO_VERTEX:
             raise UnreadableFile(f"mesh {number} uses vertices that are not there")
-        if not np.isfinite(vertices).all() or (normals is not None and len(normals) != len(vertices)):
+        if why is not None or (normals is not None and len(normals) != len(vertices)):
             raise UnreadableFile(f"mesh {number} has a vertex that is not a number, or too few normals")
-        found.append(
-            Part(str(mesh.get("name", "")), vertices, corners.reshape(-1, 3), normals=normals, places=places)
-        )
+        found.append(Part(str(mesh.get("name", "")), vertices, triangles, normals=normals, places=places))
     return found
 
 
-def _accessed(file: _Buffers, number: int, width: int) -> np.ndarray[Any, Any]:
-    """The array (count, width) of an accessor; each use of an accessor counts, as each makes an array."""
-    document, binary = file.document, file.binary
+def _accessed(file: _Buffers, number: int, width: int, together: int = 1) -> Table:
+    """The rows of an accessor, `width` numbers each; each use of an accessor counts.
+
+    together : Numbers of an accessor of single ones that make a row.
+    """
+    document = file.document
     accessor = document["accessors"][int(number)]
     view = document["bufferViews"][int(accessor["bufferView"])]
     kind = np.dtype(_COMPONENTS[accessor["componentType"]])
@@ -480,10 +471,11 @@ def _accessed(file: _Buffers, number: int, width: int) -> np.ndarray[Any, Any]:
         raise UnreadableFile(f"accessor {number} is not float32")
     inside = int(accessor.get("byteOffset", 0))
     start, size = int(view.get("byteOffset", 0)) + inside, count * width * kind.itemsize
-    if min(count, inside, start) < 0 or inside + size > int(view["byteLength"]) or start + size > len(binary):
+    if min(count, inside, start) < 0 or inside + size > int(view["byteLength"]) or start + size > file.size:
         raise UnreadableFile(f"accessor {number} reaches outside its data")
-    if not math.isfinite(size):
-        raise UnreadableFile(f"accessor {number} has no size")
+    if count % together:
+        raise UnreadableFile(f"accessor {number} ends within a triangle")
     file.spent.count(count)
     file.spent.look("among its meshes")
-    return np.frombuffer(binary[start : start + size].tobytes(), dtype=kind).reshape(count, width)
+    rows = np.dtype((kind, (width * together,)))
+    return rows_of(FileRows(file.path, file.start + start, rows, count // together))

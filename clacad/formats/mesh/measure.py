@@ -1,4 +1,4 @@
-"""Measure of a stream of triangles: whether it is closed, its volume, area and box, in one pass.
+"""Measure of a stream of triangles in one pass: whether it is closed, its volume, area and box; its vertices.
 
 Every facet has three directed edges. A surface is closed and consistently wound when each edge is traversed
 as often forwards as backwards. Two independent 64-bit hashes of the undirected edge are added for one sense
@@ -12,28 +12,25 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from math import fsum
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Words
 from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, kinds_and_ends
 
+if TYPE_CHECKING:
+    from clacad.formats.mesh.compiled_measure import VertexTable
+
 
 @dataclass(frozen=True, slots=True)
 class Measure:
     """Results of one pass over a mesh.
 
-    Parameters
-    ----------
-    facets : int
-    imbalance : (int, int)
-        Hash sums over directed edges; (0, 0) for a closed, consistently wound surface.
-    volume : float
-        Enclosed volume, file unit³ (positive when facets are wound counter-clockwise from outside).
-    area : float
-        File unit².
-    low, high : (3,) tuples
-        Corners of the bounding box.
+    imbalance : (int, int). Hash sums over directed edges; (0, 0) for a closed, consistently wound surface.
+    volume : Enclosed volume, file unit³ (positive when facets are wound counter-clockwise from outside).
+    area : File unit².
+    low, high : (3,) tuples. Corners of the bounding box.
     """
 
     facets: int
@@ -52,8 +49,6 @@ class Measure:
 def measure(chunks: Iterable[Floats], origin: Floats | None = None) -> Measure:
     """Measure a mesh given as chunks of corners (k, 3, 3).
 
-    Parameters
-    ----------
     chunks : iterable of (k, 3, 3) arrays
     origin : (3,) array or None
         Point the volume's cones start from; a point near the mesh keeps digits. Default: its first corner.
@@ -120,13 +115,8 @@ def measure_mesh(
 ) -> Measure:
     """Measure a file in design units; a repeated part is measured once per orientation.
 
-    Parameters
-    ----------
-    mesh : FileMesh
-    factor : float
-        Design units per file unit.
-    passing : callable
-        Receives and returns the corners (k, 3, 3) of the unrepeated parts, file unit.
+    factor : Design units per file unit.
+    passing : Receives and returns the corners (k, 3, 3) of the unrepeated parts, file unit.
     """
     single = [part for part in mesh.parts if not part.repeated]
     return joined(
@@ -208,3 +198,60 @@ def _with(one: Measure, imbalance: tuple[int, int]) -> Measure:
 
 def _triple(values: Floats) -> tuple[float, float, float]:
     return float(values[0]), float(values[1]), float(values[2])
+
+
+# -- shared vertices ---------------------------------------------------------------------------
+FULLEST = 0.5
+"""Largest used share of a table."""
+
+
+def _table(places: int, columns: int) -> VertexTable:
+    """Empty table with room for a number of places, or more."""
+    from clacad.formats.mesh.compiled_measure import FREE, VertexTable
+
+    size = 1 << max(4, (places - 1).bit_length())
+    return VertexTable(np.empty((size, columns), dtype=np.uint64), np.full(size, FREE, dtype=np.int64))
+
+
+class Welder:
+    """Shared vertices of triangles that come block by block, numbered in the order they come.
+
+    Vertices are equal where all bits of their numbers agree; −0 is 0. Only those of the last blocks are kept,
+    by generations that the caller begins, and those that it names beforehand: memory is that of two
+    generations, for any number of triangles.
+
+    count : Number of distinct vertices.
+    """
+
+    def __init__(self, named: Floats) -> None:
+        """Begin without vertices; `named` (n, c): those that are kept to the end."""
+        from clacad.formats.mesh.compiled_measure import name_vertices
+
+        self.count, self._columns = 0, named.shape[1]
+        self._recent = self._older = _table(0, self._columns)
+        self._used = 0
+        self._always = _table(int(len(named) / FULLEST) + 1, self._columns)
+        name_vertices(_words(named), self._always)
+
+    def begin(self) -> None:
+        """Begin a generation; the vertices of the last one are kept, those before it are not."""
+        self._older, self._recent, self._used = self._recent, _table(0, self._columns), 0
+
+    def numbers(self, rows: Floats) -> tuple[Ints, Ints]:
+        """Number (n,) of each vertex (n, c), and the rows (k,) of those that are new, in order."""
+        from clacad.formats.mesh.compiled_measure import move_vertices, number_vertices
+
+        needed = int((self._used + len(rows)) / FULLEST) + 1
+        if needed > len(self._recent.number):
+            larger = _table(needed, self._columns)
+            move_vertices(self._recent, larger)
+            self._recent = larger
+        numbers, fresh = (np.empty(len(rows), dtype=np.int64) for _ in range(2))
+        tables = self._recent, self._older, self._always
+        self._used, found = number_vertices(_words(rows), *tables, (self.count, self._used), numbers, fresh)
+        self.count += found
+        return numbers, fresh[:found]
+
+
+def _words(rows: Floats) -> Words:
+    return np.ascontiguousarray(rows).view(np.uint64)

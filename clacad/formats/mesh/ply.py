@@ -10,15 +10,16 @@ import re
 import shutil
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import IO, Any
 
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part
+from clacad.formats.mesh.file_mesh import CHUNK, NO_VERTEX, FileMesh, FileRows, Part, Table, fault_of, rows_of
 from clacad.formats.placements import Piece
 from clacad.storage.atomic import scratch_folder
 from clacad.storage.errors import OverBudget, UnreadableFile, WorkerDied
@@ -44,18 +45,21 @@ def write_ply(pieces: Sequence[Piece], path: Path, scale: float, name: str) -> N
 
     Parameters and errors: see `clacad.formats.mesh.glb.write_glb`; `scale` is in millimetres per design unit.
     """
-    vertices = sum(len(piece.vertices) * piece.count for piece in pieces)
-    facets = sum(len(piece.triangles) * piece.count for piece in pieces)
-    with path.open("wb") as stream:
-        stream.write(_header(name, vertices, facets))
+    vertices = facets = 0
+    with TemporaryFile(dir=path.parent) as rows, TemporaryFile(dir=path.parent) as faces:
         for piece in pieces:
             for centre in _centres(piece):
-                _write_vertices(stream, piece, centre, scale)
-        first = 0
-        for piece in pieces:
-            for _ in range(piece.count):
-                _write_faces(stream, piece.triangles, first)
-                first += len(piece.vertices)
+                first = vertices
+                for block in piece.blocks():
+                    row = np.concatenate(block.sound(piece.name, scale, centre), axis=1)
+                    rows.write(np.ascontiguousarray(row, dtype="<f8").tobytes())
+                    _write_faces(faces, block.triangles, first)
+                    vertices, facets = vertices + len(row), facets + len(block.triangles)
+        with path.open("wb") as stream:
+            stream.write(_header(name, vertices, facets))
+            for part in (rows, faces):
+                part.seek(0)
+                shutil.copyfileobj(part, stream)
 
 
 def _header(name: str, vertices: int, facets: int) -> bytes:
@@ -76,11 +80,6 @@ def _header(name: str, vertices: int, facets: int) -> bytes:
 
 def _centres(piece: Piece) -> Floats:
     return np.zeros((1, 3)) if piece.places is None else piece.places.centres()
-
-
-def _write_vertices(stream: IO[bytes], piece: Piece, centre: Floats, scale: float) -> None:
-    block = np.concatenate(piece.sound(scale, centre), axis=1)
-    stream.write(np.ascontiguousarray(block, dtype="<f8").tobytes())
 
 
 def _write_faces(stream: IO[bytes], triangles: Ints, first: int) -> None:
@@ -109,11 +108,8 @@ def read_ply(path: Path) -> FileMesh:
 
     Polygons are divided into triangles; other numbers of a vertex or face are skipped.
 
-    Raises
-    ------
-    UnreadableFile
-    OverBudget
-        More bytes, numbers, seconds or memory than are read.
+    Raises UnreadableFile.
+    Raises OverBudget: More bytes, numbers, seconds or memory than are read.
     """
     with path.open("rb") as stream:
         head = stream.read(_LONGEST_HEADER)
@@ -134,16 +130,49 @@ def read_ply(path: Path) -> FileMesh:
     else:
         spent = Spending("ply", path)
         spent.count(vertex.count + face.count)
-    plain = _plain_header(form, vertex, face, columns)
+    plain = _own_rows(path, end.end(), form, vertex, face)
+    if plain is not None:
+        with spent.working():
+            return _checked(path, *plain, comments)
+    header = _plain_header(form, vertex, face, columns)
     with scratch_folder(path) as folder, limited_worker(spent) as worker:
         try:
-            worker.run(f"{__name__}:load", path, end.end(), plain, spent, folder, timeout=longest_wait(spent))
+            worker.run(
+                f"{__name__}:load", path, end.end(), header, spent, folder, timeout=longest_wait(spent)
+            )
         except WorkerDied as error:
             raise (OverBudget if error.over_budget else UnreadableFile)(f"{path.name}: {error}") from error
         values, triangles = (np.load(folder / f"{name}.npy") for name in ("vertices", "triangles"))
     if len(values) != vertex.count:
         raise UnreadableFile(f"{path.name}: {len(values)} vertices; its header promises {vertex.count}")
-    return _checked(path, values, triangles, comments)
+    normals = np.ascontiguousarray(values[:, 3:]) if values.shape[1] == 6 else None
+    return _checked(path, np.ascontiguousarray(values[:, :3]), triangles, normals, comments)
+
+
+def _own_rows(
+    path: Path, start: int, form: str, vertex: _Element, face: _Element
+) -> tuple[Table, Table, Table | None] | None:
+    """Vertices, triangles and normals of a file in the form that `write_ply` writes; None: another form.
+
+    start : byte after the header
+    """
+    names = [("x", "y", "z"), ("x", "y", "z", "nx", "ny", "nz")]
+    kinds = {kind for _, kind in vertex.scalars}
+    doubles = tuple(name for name, _ in vertex.scalars) in names and kinds <= {"double", "float64"}
+    listed = face.lists[0][1:] in (("uchar", "int"), ("uint8", "int32")) and not face.scalars
+    if form != "binary_little_endian" or not doubles or not listed:
+        return None
+    columns = [("position", "<f8", (3,)), ("normal", "<f8", (3,))][: len(vertex.scalars) // 3]
+    row = np.dtype(columns)
+    faces = FileRows(path, start + vertex.count * row.itemsize, FACE, face.count)
+    if path.stat().st_size != faces.start + face.count * FACE.itemsize:
+        return None
+    if any((faces[first : first + CHUNK]["count"] != 3).any() for first in range(0, face.count, CHUNK)):
+        return None
+    vertices = (rows_of(FileRows(path, start, row, vertex.count, name)) for name, *_ in columns)
+    position, normals = (*vertices, None)[:2]
+    assert position is not None
+    return position, rows_of(replace(faces, column="corners")), normals
 
 
 def _columns(path: Path, vertex: _Element) -> list[str]:
@@ -261,16 +290,15 @@ def _check_rows(name: str, elements: Mapping[str, Any], text: bytes) -> None:
         raise UnreadableFile(f"{name}: a face has more or fewer corners than it states, or fewer than 3")
 
 
-def _checked(path: Path, values: Floats, triangles: Ints, comments: str) -> FileMesh:
-    """The mesh of vertices (v, 3), or (v, 6) with their normals."""
-    position = np.ascontiguousarray(values[:, :3])
-    normals = np.ascontiguousarray(values[:, 3:]) if values.shape[1] == 6 else None
-    if not np.isfinite(position).all() or (normals is not None and not np.isfinite(normals).all()):
-        raise UnreadableFile(f"{path.name}: a vertex that is not a number")
-    if len(triangles) == 0 or triangles.min() < 0 or triangles.max() >= len(position):
+def _checked(path: Path, vertices: Table, triangles: Table, normals: Table | None, comments: str) -> FileMesh:
+    """The mesh of vertices (v, 3), triangles (t, 3) and normals (v, 3)."""
+    why = fault_of(vertices, triangles, normals)
+    if why == NO_VERTEX or len(triangles) == 0:
         raise UnreadableFile(f"{path.name}: no triangle, or one that uses a vertex that is not there")
+    if why is not None:
+        raise UnreadableFile(f"{path.name}: {why}")
     unit = 1e-3 if "unit=mm" in comments else None
-    return FileMesh("ply", (Part("", position, triangles, normals=normals),), unit, _name_in(comments))
+    return FileMesh("ply", (Part("", vertices, triangles, normals=normals),), unit, _name_in(comments))
 
 
 def _name_in(comments: str) -> str:

@@ -25,26 +25,15 @@ from clacad.storage.reading import Overheard, Spending
 def read_mesh(path: str | os.PathLike[str], heard: Overheard | None = None) -> FileMesh:
     """Read STL (binary or ASCII), 3MF, PLY, GLB or OBJ.
 
-    Parameters
-    ----------
-    path : path
     heard : `Overheard` or None
         Receives the bytes of a format that is read as a stream, where the caller also needs its hash.
-
-    Returns
-    -------
-    FileMesh
-        Coordinates in the file's unit; its `chunks` yield corners without holding them all. Those of a binary
-        STL file are read, and may raise UnreadableFile, only then.
-
-    Raises
-    ------
-    UnreadableFile
-        Not one of these, damaged, or built to harm its reader. No other error is raised for any content.
-    OverBudget
-        A kind of UnreadableFile: more bytes, items or seconds than its reader accepts, or more memory than is
-        free.
-    FileNotFoundError
+    Returns: Coordinates in the file's unit; its `chunks` yield corners without holding them all. Those of a
+        binary STL file are read, and may raise UnreadableFile, only then.
+    Raises UnreadableFile: Not one of these, damaged, or built to harm its reader. No other error is raised
+        for any content.
+    Raises OverBudget: A kind of UnreadableFile: more bytes, items or seconds than its reader accepts, or more
+        memory than is free.
+    Raises FileNotFoundError.
     """
     path = Path(path)
     with path.open("rb") as stream:
@@ -85,11 +74,7 @@ def standing_corners(path: str | os.PathLike[str], up: str, height: float) -> Fl
     """Corners (t, 3, 3) of a mesh, foot at the origin, y up, as high as `height`.
 
     up : "y" or "z", the axis of the file that points up
-
-    Raises
-    ------
-    UnreadableFile
-        It is no mesh, or damaged.
+    Raises UnreadableFile: It is no mesh, or damaged.
     """
     corners = np.concatenate([np.zeros((0, 3, 3)), *read_mesh(path).chunks()])
     if up == "z":  # x stays, the file's y points away from the viewer
@@ -120,11 +105,8 @@ class _Found:
 def read_obj(path: Path) -> FileMesh:
     """Read an OBJ file; each `o` statement begins a part.
 
-    Raises
-    ------
-    UnreadableFile
-    OverBudget
-        More bytes, vertices, triangles or seconds than are read.
+    Raises UnreadableFile.
+    Raises OverBudget: More bytes, vertices, triangles or seconds than are read.
     """
     spent, found = Spending("obj", path), _Found()
     with path.open("rb") as stream:

@@ -50,21 +50,11 @@ def stl_bytes(facet_count: int) -> int:
 def write_stl(bodies: Iterable[FacetStream], path: Path, scale: float, name: str) -> None:
     """Write bodies into one binary STL file; memory is that of one chunk.
 
-    Parameters
-    ----------
-    bodies : iterable of FacetStream
-    path : Path
-    scale : float
-        Millimetres per design unit.
-    name : str
-        Written to the header with the unit; no time, so equal designs give equal bytes.
-
-    Raises
-    ------
-    OSError
-        The disk is full, or a similar error.
-    FileDisagrees
-        A body yielded another number of facets than `facet_count`, or a corner that is no number.
+    scale : Millimetres per design unit.
+    name : Written to the header with the unit; no time, so equal designs give equal bytes.
+    Raises OSError: The disk is full, or a similar error.
+    Raises FileDisagrees: A body yielded another number of facets than `facet_count`, or a corner that is no
+        number.
     """
     bodies = list(bodies)
     counted = all(
@@ -103,7 +93,7 @@ def _write_rows(stream: IO[bytes], rows: Floats, scale: float) -> int:
 
 def _records(corners: Floats, scale: float) -> NDArray[np.uint8]:
     """Bytes (k, 50) of facets (k, 3, 3) as written; −0 and 0 are one position and one bit pattern."""
-    from clacad.formats.mesh.compiled_facets import facet_numbers
+    from clacad.formats.mesh.compiled_measure import facet_numbers
 
     numbers = np.empty((len(corners), 4, 3), dtype="<f4")
     with np.errstate(invalid="ignore"):  # a NaN from a flipped bit is reported below
@@ -118,20 +108,12 @@ def _records(corners: Floats, scale: float) -> NDArray[np.uint8]:
 def read_stl(path: Path, heard: Overheard | None = None, checked: bool = False) -> FileMesh:
     """Read an STL file, binary (streamed) or ASCII.
 
-    heard : `Overheard` or None
-        Receives the bytes as the triangles of a binary file are read.
-    checked : bool
-        Each facet that is read must be as this package writes it, see `check_facets`.
-
-    Raises
-    ------
-    UnreadableFile
-        Truncated, too long, contains a corner that is no number, or is not STL. Corners of a binary file are
-        checked when they are read, as a slice of its triangles.
-    OverBudget
-        More bytes, facets or seconds than are read.
-    FileDisagrees
-        On reading facets, if `checked`.
+    heard : `Overheard` or None. Receives the bytes as the triangles of a binary file are read.
+    checked : Each facet that is read must be as this package writes it, see `check_facets`.
+    Raises UnreadableFile: Truncated, too long, contains a corner that is no number, or is not STL. Corners of
+        a binary file are checked when they are read, as a slice of its triangles.
+    Raises OverBudget: More bytes, facets or seconds than are read.
+    Raises FileDisagrees: On reading facets, if `checked`.
     """
     size = path.stat().st_size
     with path.open("rb") as stream:
@@ -180,14 +162,9 @@ class BinaryStl:
     def __getitem__(self, which: slice, /) -> NDArray[np.float32]:
         """Corners (k, 3, 3) of a run of facets.
 
-        Raises
-        ------
-        UnreadableFile
-            One of them is not a number, or the file was truncated since.
-        OverBudget
-            Reading the file has so far taken more seconds than allowed.
-        FileDisagrees
-            One is not as this package writes it, and `checked` is set.
+        Raises UnreadableFile: One of them is not a number, or the file was truncated since.
+        Raises OverBudget: Reading the file has so far taken more seconds than allowed.
+        Raises FileDisagrees: One is not as this package writes it, and `checked` is set.
         """
         start, stop, step = which.indices(self.count)
         with self.spent.working(f"at facet {start:,}"):
@@ -257,10 +234,7 @@ def check_facets(records: NDArray[np.void], which: str) -> None:
     """Compare stored normals and attributes of records of FACET with those of their corners; detects a
     flipped bit.
 
-    Raises
-    ------
-    FileDisagrees
-        The facets disagree; `which` begins the message.
+    Raises FileDisagrees: The facets disagree; `which` begins the message.
     """
     for start in range(0, len(records), PIECE):
         piece = records[start : start + PIECE]

@@ -54,12 +54,7 @@ NEWTON = 1e-12
 
 
 def require_optiland() -> None:
-    """Raise an error that names the missing extra.
-
-    Raises
-    ------
-    NotPossible
-    """
+    """Raise an error that names the missing extra. Raises NotPossible."""
     if find_spec("optiland") is None:
         raise NotPossible(
             'format optiland needs the package optiland\n  install it with: pip install "clacad[optiland]"'
@@ -84,10 +79,7 @@ def optiland_document(window: Window) -> dict[str, Any]:
     """Content of the file: the input of `optiland.optic.Optic.from_dict`, and an additional key for what that
     lacks.
 
-    Raises
-    ------
-    NotPossible
-        No surface of optiland is close enough to a face.
+    Raises NotPossible: No surface of optiland is close enough to a face.
     """
     faces = stations(window)
     low = min(float(one.vertex[2]) for one in faces) - pupil(window)
@@ -195,9 +187,7 @@ def _geometry(one: Station) -> tuple[dict[str, Any], float]:
 def terms_needed(one: Station) -> tuple[int, float]:
     """Fewest powers of w that represent a face within `SLOPE` over its cell, and the remaining slope error.
 
-    Raises
-    ------
-    NotPossible
+    Raises NotPossible.
     """
     (cx, cy), (x, y) = np.abs(one.curvature), one.reach
     ax, ay = (abs((1.0 + k) * c * c) for k, c in zip(one.conic, one.curvature))
@@ -244,9 +234,7 @@ def series(one: Station, terms: int) -> list[list[float]]:
 def write_optiland(window: Window, path: Path) -> dict[str, Any]:
     """Write the file, with infinities as optiland itself writes and reads them. Returns its content.
 
-    Raises
-    ------
-    NotPossible
+    Raises NotPossible.
     """
     document = optiland_document(window)
     text = json.dumps(document, sort_keys=True, indent=1, ensure_ascii=False) + "\n"
@@ -263,9 +251,7 @@ def optiland_directions(
     """Directions (n, 3) that optiland computes for rays (mm) through a file; NaN as null. Run it in a
     separate process.
 
-    Raises
-    ------
-    NotPossible, UnreadableFile, OverBudget
+    Raises NotPossible, UnreadableFile, OverBudget.
     """
     require_optiland()
     import warnings
@@ -291,9 +277,7 @@ def optiland_directions(
 def check_optiland(window: Window, name: str, found: Floats) -> None:
     """Compare the directions (n, 3) that optiland computed for the rays of `rays_for` with the design's own.
 
-    Raises
-    ------
-    FileDisagrees
+    Raises FileDisagrees.
     """
     start, direction = rays_for(window)
     wanted, inside = through_design(window, start, direction)

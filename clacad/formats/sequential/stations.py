@@ -43,17 +43,11 @@ DEFAULT_WAVELENGTH = 550e-9
 class Station:
     """One face at its position.
 
-    Parameters
-    ----------
-    name : str
     curvature : (cx, cy), 1/mm
-    conic : (Kx, Ky)
-        0 in a flat meridian, which has none.
+    conic : (Kx, Ky). 0 in a flat meridian, which has none.
     vertex : (3,), mm
-    rotation : (3, 3)
-        Face's frame to sheet frame.
-    index : float
-        Refractive index beyond the face.
+    rotation : (3, 3). Face's frame to sheet frame.
+    index : Refractive index beyond the face.
     reach : (x, y), mm
         Largest distance from the apex at which light of the cell meets the face, along the face's own axes.
     terms : (3,), 1/mm³, (4,), 1/mm⁵, and (5,), 1/mm⁷
@@ -222,10 +216,7 @@ def refuse_other_light(name: str, wanted: Floats, found: Floats, inside: Bools) 
     """Reject a file through which light leaves in other directions.
 
     wanted, found : (n, 3) unit directions; inside : (n,) bool, those that count
-
-    Raises
-    ------
-    FileDisagrees
+    Raises FileDisagrees.
     """
     apart = angle_between(wanted[inside], found[inside])
     worst = float(apart.max(initial=0.0)) if np.isfinite(apart).all() else np.inf

@@ -47,13 +47,7 @@ ROUNDING = 1e-15
 
 
 def write_zmx(window: Window, path: Path) -> None:
-    """Write the prescription, ASCII with the line ends of the programs that read it.
-
-    Parameters
-    ----------
-    window : Window
-    path : Path
-    """
+    """Write the prescription, ASCII with the line ends of the programs that read it."""
     text = "".join(f"{line}\r\n" for line in zmx_lines(window))
     path.write_bytes(text.encode("ascii", "replace"))
 
@@ -155,12 +149,9 @@ def _rim(radius: float) -> list[str]:
 def read_zmx(path: Path) -> list[Station]:
     """Faces of a prescription in the frame of the surface after the object, from the text alone.
 
-    Raises
-    ------
-    UnreadableFile
-        No text of surfaces, one of a kind that is not written here, or tilts about more than one axis in a
-        break.
-    OverBudget
+    Raises UnreadableFile: No text of surfaces, one of a kind that is not written here, or tilts about more
+        than one axis in a break.
+    Raises OverBudget.
     """
     spent = Spending("prescription", path)
     blocks: list[dict[str, list[str]]] = []
@@ -232,9 +223,7 @@ def _number(block: dict[str, list[str]], key: str) -> float:
 def check_zmx(window: Window, path: Path) -> None:
     """Read a prescription back and send light through it: it must leave as through the design's own faces.
 
-    Raises
-    ------
-    FileDisagrees, UnreadableFile
+    Raises FileDisagrees, UnreadableFile.
     """
     start, direction = from_own_cell(window, probe(window))
     wanted, inside = through_design(window, start, direction)

@@ -57,13 +57,9 @@ SOLIDS = ("MANIFOLD_SOLID_BREP", "BREP_WITH_VOIDS", "FACETED_BREP", "SHELL_BASED
 class PlacedPart:
     """One part of a file and its placements.
 
-    name : str
-    solid : bool
-        False for bare shells.
+    solid : False for bare shells.
     shells : numbers of its shells
-    unit : float
-        mm per unit of its own coordinates.
-    placements : Placements
+    unit : mm per unit of its own coordinates.
     """
 
     name: str
@@ -91,8 +87,11 @@ class Vectors:
         """Return them as a `Lookup`."""
         ids = np.frombuffer(self.ids, dtype=np.int64) if len(self.ids) else np.empty(0, dtype=np.int64)
         values = np.frombuffer(self.values, dtype=np.float64) if len(self.values) else np.empty(0)
+        values = values.reshape(-1, 3)
+        if (ids[1:] > ids[:-1]).all():  # as most writers number them: no copy
+            return Lookup(ids, values)
         order = np.argsort(ids, kind="stable")
-        return Lookup(ids[order], values.reshape(-1, 3)[order])
+        return Lookup(ids[order], values[order])
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,26 +102,14 @@ class Lookup:
     values: NDArray[Any]
 
     def rows(self, wanted: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Row of every number.
-
-        Raises
-        ------
-        LookupError
-            One does not exist.
-        """
+        """Row of every number. Raises LookupError: One does not exist."""
         at = np.searchsorted(self.ids, wanted)
         if np.any(at >= len(self.ids)) or not np.array_equal(self.ids[at], wanted):
             raise LookupError("a number that no entity has")
         return at
 
     def one(self, number: int) -> Floats:
-        """The value under one number.
-
-        Raises
-        ------
-        LookupError
-            It does not exist.
-        """
+        """The value under one number. Raises LookupError: It does not exist."""
         at = bisect_left(self.ids, number)
         if at == len(self.ids) or self.ids[at] != number:
             raise LookupError("a number that no entity has")
@@ -254,6 +241,11 @@ class Assembly:
         self._operators[number] = (numbers, 1.0 if scale == "$" else float(scale))
 
     # -- placements -----------------------------------------------------------------------------
+
+    @property
+    def frames(self) -> NDArray[np.int64]:
+        """Number, location, axis and reference direction of every placement, (n, 4); 0 where not given."""
+        return np.array(self._axes, dtype=np.int64).reshape(-1, 4)
 
     def standing(self, points: Lookup) -> list[PlacedPart]:
         """Every solid and bare shell of the file, with all its placements."""

@@ -34,10 +34,8 @@ class LensPoints:
 
     place : (n, 3), mm, in the frame of the part
     outward : (n, 3), unit
-    patch : (n,)
-        The face each point belongs to, ascending.
-    part : (patches,)
-        The part each face belongs to.
+    patch : (n,). The face each point belongs to, ascending.
+    part : (patches,). The part each face belongs to.
     """
 
     place: Floats
@@ -63,26 +61,35 @@ class LensPoints:
 
     def of_part(self, part: int) -> LensPoints:
         """Points of one part, patches numbered from 0."""
-        kept = np.flatnonzero(self.part == part)
-        chosen = np.isin(self.patch, kept)
-        return LensPoints(
-            self.place[chosen],
-            self.outward[chosen],
-            np.searchsorted(kept, self.patch[chosen]),
-            self.part[kept],
+        chosen = np.zeros(max(part, int(self.part.max(initial=-1))) + 1, dtype=np.bool_)
+        chosen[part] = True
+        return self.of_parts(chosen)
+
+    def of_parts(self, chosen: Bools) -> LensPoints:
+        """Points of the parts for which `chosen` (parts,) holds, patches numbered from 0."""
+        kept = chosen[self.part]
+        rows = kept[self.patch]
+        number = np.cumsum(kept) - 1
+        return LensPoints(self.place[rows], self.outward[rows], number[self.patch[rows]], self.part[kept])
+
+    def placed(self, placements: Floats) -> LensPoints:
+        """The points in a placement (parts, 3, 4) of each part."""
+        own = placements[self.part[self.patch]]
+        return replace(
+            self,
+            place=np.einsum("nij,nj->ni", own[:, :, :3], self.place) + own[:, :, 3],
+            outward=np.einsum("nij,nj->ni", own[:, :, :3], self.outward),
         )
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class LensErrors:
     """Patches compared with the design, each in s placements.
 
     error, slope : (s, p)
         Largest distance (mm) and angle (rad) of a patch's points to the lens face it is nearest to.
-    face : (s, p)
-        Number of that face in `Window.faces`; −1 for a wall.
-    cell : (s, p, 2)
-        The cell it lies over, in the grid of that face's array.
+    face : (s, p). Number of that face in `Window.faces`; −1 for a wall.
+    cell : (s, p, 2). The cell it lies over, in the grid of that face's array.
     """
 
     error: Floats
@@ -94,9 +101,6 @@ class Measured:
 def on_lenses(window: Window, place: Floats, outward: Floats) -> tuple[Floats, Floats, Ints]:
     """Distances of points from the lens faces of a window.
 
-    Parameters
-    ----------
-    window : Window
     place : (n, 3), mm, sheet frame
     outward : (n, 3), unit
 
@@ -129,7 +133,7 @@ def on_lenses(window: Window, place: Floats, outward: Floats) -> tuple[Floats, F
     return best, angle, which
 
 
-def measured(window: Window, lenses: LensPoints, placements: Floats) -> Measured:
+def measured(window: Window, lenses: LensPoints, placements: Floats) -> LensErrors:
     """Compare the patches of one part with the design, in the placements (s, 3, 4)."""
     many, patches = len(placements), len(lenses.part)
     place = applied(placements, lenses.place[None])
@@ -148,7 +152,7 @@ def measured(window: Window, lenses: LensPoints, placements: Floats) -> Measured
             chosen = face == number
             cell[chosen] = window.locate(one.array, *middle[chosen].T)[0]
     error, slope = (_worst(one.reshape(many, -1), lenses.patch, patches) for one in (away, angle))
-    return Measured(error, slope, face, cell)
+    return LensErrors(error, slope, face, cell)
 
 
 def _worst(values: Floats, patch: Ints, patches: int) -> Floats:
@@ -160,12 +164,8 @@ def _worst(values: Floats, patch: Ints, patches: int) -> Floats:
 class SheetPlace:
     """Position of a sheet in a file.
 
-    Parameters
-    ----------
-    low, high : float, mm
-        Planes between which it lies; infinite at the ends of the file.
-    z : float, mm
-        Height of the sheet's own z = 0.
+    low, high : mm. Planes between which it lies; infinite at the ends of the file.
+    z : mm. Height of the sheet's own z = 0.
     """
 
     low: float
@@ -304,10 +304,8 @@ def layer_volumes(several: list[ShapePart], window: Window) -> dict[str, float]:
 def holes_in(several: list[ShapePart]) -> list[dict[str, Any]]:
     """Round holes: cylinders whose outward normals point to their axis, mm.
 
-    Returns
-    -------
-    list of dict
-        diameter, length; at: (3,) middle of the hole's axis; axis: (3,) unit. Of parts that are not repeated.
+    Returns: diameter, length; at: (3,) middle of the hole's axis; axis: (3,) unit. Of parts that are not
+        repeated.
     """
     from OCP.TopoDS import TopoDS
 
@@ -331,33 +329,78 @@ def holes_in(several: list[ShapePart]) -> list[dict[str, Any]]:
 def _hole(face: Any) -> dict[str, Any] | None:
     """Diameter, length, middle and axis (mm) of the round hole with this face as its wall, or None."""
     from OCP.BRepAdaptor import BRepAdaptor_Surface
-    from OCP.GeomAbs import GeomAbs_Cylinder
     from OCP.gp import gp_Pnt, gp_Vec
     from OCP.TopAbs import TopAbs_REVERSED
 
     surface = BRepAdaptor_Surface(face, True)
-    if surface.GetType() != GeomAbs_Cylinder:
+    found = _cylinder(surface)
+    if found is None:
         return None
-    cylinder = surface.Cylinder()
-    origin, way = cylinder.Axis().Location(), cylinder.Axis().Direction()
-    start, axis = np.array([origin.X(), origin.Y(), origin.Z()]), np.array([way.X(), way.Y(), way.Z()])
-    low, high = surface.FirstVParameter(), surface.LastVParameter()
+    start, axis, radius = found
+    (u0, u1), (v0, v1) = _spans(surface)
     point, along, across = gp_Pnt(), gp_Vec(), gp_Vec()
-    surface.D1(
-        0.5 * (surface.FirstUParameter() + surface.LastUParameter()), 0.5 * (low + high), point, along, across
-    )
-    normal = along.Crossed(across)
-    outward = np.array([normal.X(), normal.Y(), normal.Z()])
-    outward *= -1.0 if face.Orientation() == TopAbs_REVERSED else 1.0
-    middle = start + 0.5 * (low + high) * axis
-    if outward @ (np.array([point.X(), point.Y(), point.Z()]) - middle) >= 0.0:
+    surface.D1(0.5 * (u0 + u1), 0.5 * (v0 + v1), point, along, across)
+    outward = _numbers(along.Crossed(across)) * (-1.0 if face.Orientation() == TopAbs_REVERSED else 1.0)
+    at = _numbers(point)
+    middle = start + ((at - start) @ axis) * axis
+    if outward @ (at - middle) >= 0.0:
         return None  # an outline, or a peg
+    ends = _numbers(surface.Value(u1, v1)) - _numbers(surface.Value(u0, v0))
     return {
-        "diameter": 2.0 * cylinder.Radius(),
-        "length": high - low,
+        "diameter": 2.0 * radius,
+        "length": abs(float(ends @ axis)),
         "at": middle.tolist(),
         "axis": axis.tolist(),
     }
+
+
+def _numbers(of: Any) -> Floats:
+    """Coordinates (3,) of a point or a vector of OCC."""
+    return np.array([of.X(), of.Y(), of.Z()])
+
+
+def _spans(surface: Any) -> tuple[tuple[float, float], tuple[float, float]]:
+    """First and last value of both parameters of a surface of OCC."""
+    return (
+        (surface.FirstUParameter(), surface.LastUParameter()),
+        (surface.FirstVParameter(), surface.LastVParameter()),
+    )
+
+
+def _cylinder(surface: Any) -> tuple[Floats, Floats, float] | None:
+    """Point and direction (3,) of the axis of a round wall, and its radius, mm; None for another surface.
+
+    Programs that cut a solid keep an upright round wall as a spline.
+    """
+    from OCP.GeomAbs import GeomAbs_Cylinder, GeomAbs_Plane
+    from OCP.gp import gp_Pnt, gp_Vec
+
+    if surface.GetType() == GeomAbs_Cylinder:
+        cylinder = surface.Cylinder()
+        axis = cylinder.Axis()
+        return _numbers(axis.Location()), _numbers(axis.Direction()), float(cylinder.Radius())
+    if surface.GetType() == GeomAbs_Plane:
+        return None
+    places = []
+    for share in (0.5, 0.1, 0.3, 0.7, 0.9):  # along a diagonal of the wall
+        point, along, across = gp_Pnt(), gp_Vec(), gp_Vec()
+        u, v = (low + share * (high - low) for low, high in _spans(surface))
+        surface.D1(u, v, point, along, across)
+        normal = along.Crossed(across)
+        if not abs(normal.Z()) <= 1e-6 * normal.Magnitude():
+            return None
+        places.append(_numbers(point))
+    start = places[0]
+    flat = np.array(places)[:, :2] - start[:2]
+    a, b = flat[1], flat[4]
+    twice = 2.0 * float(a[0] * b[1] - a[1] * b[0])
+    if abs(twice) <= 1e-6 * float(np.hypot(*a) * np.hypot(*b)):  # a straight wall
+        return None
+    centre = np.array([b[1] * (a @ a) - a[1] * (b @ b), a[0] * (b @ b) - b[0] * (a @ a)]) / twice
+    radius = float(np.hypot(*centre))
+    if np.abs(np.hypot(*(flat - centre).T) - radius).max() > 1e-6 * radius:
+        return None
+    return start + np.append(centre, 0.0), np.array([0.0, 0.0, 1.0]), radius
 
 
 def occ_lenses(several: list[ShapePart], each: int = 3) -> LensPoints:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
-from clacad.formats.placements import Placements, applied, by_turn, fill, inverse, product
-from clacad.formats.step.lens_placements import LensPoints, Measured, measured
+from clacad.formats.placements import UNPLACED, Placements, applied, by_turn, fill, inverse, product
+from clacad.formats.step.lens_placements import LensErrors, LensPoints, measured
 from clacad.sheet.window import Window
 
 SAMPLE = 20_000
@@ -39,32 +39,23 @@ Cell = tuple[int, int]
 def lens_facts(window: Window, lenses: LensPoints, parts: Sequence[Placements]) -> dict[str, Any]:
     """Compare every lens of a file with the design, in all placements of its part.
 
-    Parameters
-    ----------
-    window : Window
-    lenses : LensPoints
-    parts : sequence of Placements
-        Of every part.
-
-    Returns
-    -------
-    dict
-        patches, patch_error (mm), patch_slope_error (rad); placement: instances, lattice_error (mm, largest
-        distance of an instance of a repeated part from its cell; for copies in rows the worst row plus the
-        worst within a row, which no copy exceeds except by rounding), lattice_cell, lattice_body (where),
-        moved (instances farther than 1e-7 of the pitch), missing and doubled ((cell, body) without a lens,
-        and with several), missing_cell, doubled_cell, `standing` (share of the requested lenses that are
-        within 1e-5 of the pitch); owners: by the number of a part, the body whose lenses it has.
-
-    Raises
-    ------
-    UnreadableFile
-        There are too many copies to check one by one, and they do not fill the lattice.
+    parts : Of every part.
+    Returns: patches, patch_error (mm), patch_slope_error (rad); placement: instances, lattice_error (mm,
+        largest distance of an instance of a repeated part from its cell; for copies in rows the worst row
+        plus the worst within a row, which no copy exceeds except by rounding), lattice_cell, lattice_body
+        (where), moved (instances farther than 1e-7 of the pitch), missing and doubled ((cell, body) without a
+        lens, and with several), missing_cell, doubled_cell, `standing` (share of the requested lenses that
+        are within 1e-5 of the pitch); owners: by the number of a part, the body whose lenses it has.
+    Raises UnreadableFile: There are too many copies to check one by one, and they do not fill the lattice.
     """
     board = _Board(window)
     patches, error, slope, owners = 0, 0.0, 0.0, dict[int, str]()
-    for number, placements in enumerate(parts):
-        mine = lenses.of_part(number)
+    once = np.array([len(placements) == 1 for placements in parts], dtype=np.bool_)
+    groups = [(number, parts[number], lenses.of_part(number)) for number in np.flatnonzero(~once).tolist()]
+    if once.any():  # a part that is not repeated is compared where it is placed
+        first = np.array([p.one(0) if one else UNPLACED for p, one in zip(parts, once, strict=True)])
+        groups.append((-1, Placements(UNPLACED[None]), lenses.of_parts(once).placed(first)))
+    for number, placements, mine in groups:
         if not len(mine.part) or not len(placements):
             continue
         chosen = _sampled(placements, len(mine.part))
@@ -75,8 +66,11 @@ def lens_facts(window: Window, lenses: LensPoints, parts: Sequence[Placements]) 
         patches += int(real.sum())
         error = max(error, float(seen.error[:, real].max()))
         slope = max(slope, float(seen.slope[:, real].max()))
-        board.take(seen, placements, chosen, real)
-        owners[number] = window.bodies[int(np.bincount(seen.face[:, real].max(axis=0) // 2).argmax())].name
+        if number < 0:
+            board.take_once(seen, mine.part, real)
+        else:
+            board.take(seen, placements, chosen, real)
+        owners |= _owners(window, seen.face[:, real].max(axis=0) // 2, mine.part[real])
     if not patches:
         return {"patches": 0, "patch_error": None, "patch_slope_error": None, "placement": None, "owners": {}}
     return {
@@ -86,6 +80,15 @@ def lens_facts(window: Window, lenses: LensPoints, parts: Sequence[Placements]) 
         "placement": board.facts(),
         "owners": owners,
     }
+
+
+def _owners(window: Window, body: Ints, part: Ints) -> dict[int, str]:
+    """Name of the body that most patches of each part lie on: body (n,) and part (n,) of every patch."""
+    numbers, row = np.unique(part, return_inverse=True)
+    times = np.zeros((len(numbers), len(window.bodies)), dtype=np.int64)
+    np.add.at(times, (row, body), 1)
+    most = times.argmax(axis=1).tolist()
+    return {number: window.bodies[one].name for number, one in zip(numbers.tolist(), most, strict=True)}
 
 
 def _sampled(placements: Placements, patches: int) -> Ints:
@@ -102,11 +105,8 @@ def _sampled(placements: Placements, patches: int) -> Ints:
 class _Copies:
     """One lens of a part in all placements of the part.
 
-    placements : Placements
-    number : int
-        Index of the placement at which its cell was found.
-    array : int
-        Array whose grid it lies on.
+    number : Index of the placement at which its cell was found.
+    array : Array whose grid it lies on.
     cell : (i, j)
     """
 
@@ -131,10 +131,7 @@ class _Copies:
     def each(self) -> tuple[Ints, Floats]:
         """Cells (k, 2) of all copies, and their distances from the centres (k,), mm.
 
-        Raises
-        ------
-        UnreadableFile
-            There are too many.
+        Raises UnreadableFile: There are too many.
         """
         index, off = self.off(self.placements.all())
         return index, _lengths(off) * millimetres(self.window.unit)
@@ -216,8 +213,20 @@ class _Board:
         table[tuple((self._cells - self._low).T)] = np.arange(len(self._cells))
         return table
 
-    def take(self, seen: Measured, placements: Placements, chosen: Ints, real: NDArray[np.bool_]) -> None:
-        """Count the lenses of one part in all its placements."""
+    def take_once(self, seen: LensErrors, part: Ints, real: NDArray[np.bool_]) -> None:
+        """Count the lenses of parts that have one placement each; the part (p,) of every patch."""
+        rows = np.flatnonzero(real & (seen.face[0] >= 0))
+        keys = np.column_stack([part[rows], seen.face[0, rows], seen.cell[0, rows]])
+        order = np.lexsort(keys.T[::-1])
+        keys, error = keys[order], seen.error[0, rows][order]
+        starts = np.flatnonzero(np.concatenate([[True], (keys[1:] != keys[:-1]).any(axis=1)]))
+        away = np.maximum.reduceat(error, starts)
+        for face in np.unique(keys[:, 1]).tolist():
+            mine = keys[starts, 1] == face
+            self._count(face, keys[starts][mine, 2:], away[mine], repeated=False)
+
+    def take(self, seen: LensErrors, placements: Placements, chosen: Ints, real: NDArray[np.bool_]) -> None:
+        """Count the lenses of one repeated part in all its placements."""
         judged = np.where(real, seen.error, 0.0)
         best = int(np.argmin(judged.max(axis=1)))
         lenses: dict[tuple[int, int, int], float] = {}
@@ -225,10 +234,6 @@ class _Board:
             i, j = seen.cell[best, patch].tolist()
             key = (int(seen.face[best, patch]), i, j)
             lenses[key] = max(lenses.get(key, 0.0), float(seen.error[best, patch]))
-        if len(placements) == 1:
-            for (face, *cell), error in lenses.items():
-                self._count(face, np.array([cell]), np.array([error]), repeated=False)
-            return
         self._instances += len(placements)
         stand: dict[tuple[int, int, int], _Copies] = {}
         for (face, i, j), error in lenses.items():

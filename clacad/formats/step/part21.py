@@ -1,4 +1,4 @@
-"""The stream of a Part 21 (STEP) file: header, units, products, assemblies, colours.
+"""The stream of a Part 21 (STEP) file: header, units, products, assemblies, colours; fused or instanced.
 
 No clock, host or user name is written: equal entities give equal bytes. Lengths in mm.
 """
@@ -8,11 +8,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, log10
-from typing import IO
+from typing import IO, TYPE_CHECKING, Literal
 
 import numpy as np
 
 from clacad.base.types import Floats
+
+if TYPE_CHECKING:
+    from clacad.sheet.window import Window
+
+Mode = Literal["auto", "fused", "instanced"]
+
+FUSED_CELLS = 2500
+"""Cells up to which mode "auto" writes fused solids."""
 
 SCHEMAS = {
     "AP242": (
@@ -60,6 +68,26 @@ def weight(value: float) -> str:
     return f"{value:.13f}".rstrip("0")
 
 
+def chosen_mode(window: Window, mode: Mode) -> Literal["fused", "instanced"]:
+    """Resolve mode "auto"; a non-uniform sheet has no cell to repeat.
+
+    Raises CellsDiffer: An assembly is requested for such a sheet.
+    """
+    if mode not in ("auto", "fused", "instanced"):
+        raise ValueError(f"STEP mode must be auto, fused or instanced, not {mode!r}")
+    if not window.uniform:
+        if mode == "instanced":
+            from clacad.sheet.need_window import need_equal_cells
+
+            need_equal_cells(
+                window, "a STEP assembly of one cell and its places", "fused is one solid of all of them"
+            )
+        return "fused"
+    if mode == "auto":
+        return "fused" if window.lattice.cell_count <= FUSED_CELLS else "instanced"
+    return mode
+
+
 @dataclass(frozen=True, slots=True)
 class StepColour:
     """An sRGB colour, 0 … 1."""
@@ -80,10 +108,10 @@ class Part21:
         self._pending = 0
         self._next = 1
         # Twelve digits beyond the pitch: a thousand times finer than the 1e-9 pitch the faces are checked to.
-        self._places = max(6, 12 + ceil(-log10(pitch)))
+        self.decimals = max(6, 12 + ceil(-log10(pitch)))
         self._styles: dict[StepColour, int] = {}
         identifier, application, protocol, year = SCHEMAS[schema]
-        self._raw(
+        self.raw(
             "ISO-10303-21;\nHEADER;\nFILE_DESCRIPTION((''),'2;1');\n"
             f"FILE_NAME({quoted(name)},'{EPOCH}',(''),(''),{quoted(program)},{quoted(program)},'');\n"
             f"FILE_SCHEMA(('{identifier}'));\nENDSEC;\nDATA;\n"
@@ -119,17 +147,17 @@ class Part21:
         self.put(number, entity)
         return number
 
-    def reserve(self) -> int:
-        """Reserve a number for an entity that is written later."""
-        self._next += 1
-        return self._next - 1
+    def reserve(self, count: int = 1) -> int:
+        """Reserve numbers for entities that are written later; return the first."""
+        self._next += count
+        return self._next - count
 
     def put(self, number: int, entity: str) -> None:
         """Write an entity under a reserved number."""
-        self._raw(f"#{number}={entity};\n")
+        self.raw(f"#{number}={entity};\n")
 
-    def _raw(self, text: str, last: bool = False) -> None:
-        """Buffer text; a megabyte of it, or the last, is passed to the stream."""
+    def raw(self, text: str, last: bool = False) -> None:
+        """Write text through a buffer; a megabyte of it, or the last, is passed to the stream."""
         self._lines.append(text)
         self._pending += len(text)
         if last or self._pending > _FLUSH:
@@ -139,11 +167,11 @@ class Part21:
 
     def close(self) -> None:
         """Write the end of the file."""
-        self._raw("ENDSEC;\nEND-ISO-10303-21;\n", last=True)
+        self.raw("ENDSEC;\nEND-ISO-10303-21;\n", last=True)
 
     def coordinate(self, value: float) -> str:
         """Write a length, rounded to 1e-12 of the pitch or finer."""
-        text = f"{value:.{self._places}f}".rstrip("0")
+        text = f"{value:.{self.decimals}f}".rstrip("0")
         return "0." if text == "-0." else text
 
     def coordinates(self, point: Sequence[float] | Floats) -> str:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Floats, Ints
 from clacad.base.units import millimetres
 from clacad.formats.placements import applied
-from clacad.formats.step.text_health import Scan, casteljau, patches_of
+from clacad.formats.step.text_health import Scan, casteljau
 from clacad.optics.surface import refract
 from clacad.sheet.face_order import refractions
 from clacad.sheet.window import Body, Face, Window
@@ -35,13 +35,10 @@ ENDS = ("through", "nothing met", "wall", "total reflection")
 class RayPaths:
     """Positions of rays, and where they crossed faces; the arrays are filled in as the rays advance.
 
-    position, direction : (n, 3)
-        Of the last crossing; unit directions behind it.
+    position, direction : (n, 3). Of the last crossing; unit directions behind it.
     end : (n,) index into `ENDS`
-    crossings : (n,)
-        Faces crossed so far.
-    hits : (n, steps, 3)
-        Where each ray crossed, zero beyond its last crossing.
+    crossings : (n,). Faces crossed so far.
+    hits : (n, steps, 3). Where each ray crossed, zero beyond its last crossing.
     """
 
     position: Floats
@@ -85,8 +82,7 @@ class Crossing(NamedTuple):
 def crossings(window: Window, bodies: Sequence[Body], up: float = 0.0) -> list[Crossing]:
     """Faces of some plates of a window in the order in which light meets them, a joint once.
 
-    up : float, mm
-        Height of the sheet's own z = 0.
+    up : mm. Height of the sheet's own z = 0.
     """
     from clacad.sheet.feasibility import body_range
 
@@ -122,23 +118,16 @@ def cast_rays(
 ) -> list[list[float] | None]:
     """Trace rays through the solids of a STEP file.
 
-    Parameters
-    ----------
-    path : path
     position : (n, 3) mm
     direction : (n, 3)
-    faces : sequence of Crossing
-        In the order light meets them.
+    faces : In the order light meets them.
 
     Returns
     -------
     list of (3,) unit directions, or None for a ray that did not enter and leave every body through faces that
     are no walls.
 
-    Raises
-    ------
-    UnreadableFile
-        OCC finds no shape in the file.
+    Raises UnreadableFile: OCC finds no shape in the file.
     """
     found = follow_rays(path, position, direction, faces, (-np.inf, -np.inf), (np.inf, np.inf))
     return [way if end == 0 else None for way, end in zip(found["direction"], found["end"], strict=True)]
@@ -154,12 +143,8 @@ def follow_rays(
 ) -> dict[str, Any]:
     """Trace rays through the faces of a file that reach into a column, and report where they crossed.
 
-    Parameters
-    ----------
-    path, position, direction, faces
-        As for `cast_rays`.
-    low, high : (2,) mm
-        Column of x and y; faces that do not reach into it are left out.
+    path, position, direction, faces : As for `cast_rays`.
+    low, high : (2,) mm. Column of x and y; faces that do not reach into it are left out.
 
     Returns
     -------
@@ -168,10 +153,7 @@ def follow_rays(
         hits : (n, faces, 3) where each ray crossed, zero beyond its last crossing; curved : (n, faces)
             whether the face crossed there is curved both ways.
 
-    Raises
-    ------
-    UnreadableFile
-        OCC cannot read the file.
+    Raises UnreadableFile: OCC cannot read the file.
     """
     intersector = _column(path, tuple(low), tuple(high))
     many = len(position)
@@ -319,6 +301,8 @@ CLOSE = 1e-11
 """Step of Newton's method, in parameters, below which a hit is found."""
 EDGE = 1e-9
 """Parameters by which a hit may lie outside the patch."""
+BOX_ROOM = 1e-6
+"""Part of its diagonal by which the box of a patch is widened."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,18 +313,31 @@ class PlacedPatch:
     sense : −1 if it faces against du × dv
     middle : (2,) mm
         x and y in the middle of its parameters; the patch belongs to the cell that contains this point.
+    box : (2, 3) mm. Least and greatest coordinates of its poles.
     """
 
     control: Floats
     sense: float
     middle: Floats
+    box: Floats
+
+    def near(self, position: Floats, direction: Floats) -> Ints:
+        """Rows of the rays that cross the box of the patch's poles, which holds the patch."""
+        low, high = self.box
+        with np.errstate(all="ignore"):
+            ends = (
+                position[:, None, :2]
+                + direction[:, None, :2] * ((self.box[:, 2] - position[:, 2:]) / direction[:, 2:])[..., None]
+            )
+            room = BOX_ROOM * np.linalg.norm(high - low)
+            aside = (ends.max(axis=1) < low[:2] - room) | (ends.min(axis=1) > high[:2] + room)
+        return np.flatnonzero(~aside.any(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
     """Cell of an array that a point lies over: a patch may extend beyond the cell of its lens.
 
-    window : Window
     array : 0 or 1
     """
 
@@ -356,25 +353,24 @@ class Cells:
 def column_patches(scan: Scan, low: Floats, high: Floats) -> list[PlacedPatch]:
     """Patches of all instances whose poles reach into a column low … high (2,) of x and y."""
     found = []
-    for group in patches_of(scan):
-        for poles, weights, sense, part in zip(
-            group.poles, group.weights, group.sense, group.part, strict=True
-        ):
-            flat = poles.reshape(-1, 3)
-            where = scan.parts[part].placements
-            box = np.array([flat.min(axis=0), flat.max(axis=0)])
-            middle, reach = box.mean(axis=0), 0.5 * float(np.linalg.norm(np.ptp(box, axis=0)))
+    for group in scan.groups:
+        middles, reaches, _ = group.span
+        for row in group.near(low, high).tolist():
+            poles, weights = group.poles[row], group.weights[row]
+            flat, middle, reach = poles.reshape(-1, 3), middles[row], reaches[row]
+            where = scan.parts[group.part[row]].placements
             near = where.at(where.near(low - reach - middle[:2], high + reach - middle[:2]))
             at = applied(near, middle[None])[:, 0, :2]
             for placement in near[((at > low - reach) & (at < high + reach)).all(axis=1)]:
                 placed = applied(placement, flat).reshape(poles.shape)
-                over = placed.reshape(-1, 3)[:, :2]
-                if (over.max(axis=0) < low).any() or (over.min(axis=0) > high).any():
+                over = placed.reshape(-1, 3)
+                box = np.array([over.min(axis=0), over.max(axis=0)])
+                if (box[1, :2] < low).any() or (box[0, :2] > high).any():
                     continue
                 control = np.concatenate([placed * weights[..., None], weights[..., None]], axis=-1)
                 half = np.array([0.5])
                 middle = _surface(control, half, half)[0][0, :2]
-                found.append(PlacedPatch(control, float(sense), middle))
+                found.append(PlacedPatch(control, float(group.sense[row]), middle, box))
     return found
 
 
@@ -387,15 +383,18 @@ def first_hits(
     """
     best, normal = np.full(len(position), np.inf), np.zeros_like(position)
     for patch in patches:
-        away, outward = _meet(patch, position, direction)
-        facing = np.einsum("ij,ij->i", outward, direction)
+        rows = patch.near(position, direction)
+        if not len(rows):
+            continue
+        away, outward = _meet(patch, position[rows], direction[rows])
+        facing = np.einsum("ij,ij->i", outward, direction[rows])
         with np.errstate(invalid="ignore"):
-            closer = (away < best) & (facing < 0.0 if entering else facing > 0.0) & (away > NEAREST)
-        rows = np.flatnonzero(closer)
-        place = position[rows, :2] + away[rows, None] * direction[rows, :2]
-        rows = rows[(cells.of(place) == cells.of(patch.middle[None])).all(axis=1)]
-        best[rows] = away[rows]
-        normal[rows] = outward[rows] * (-1.0 if entering else 1.0)
+            closer = (away < best[rows]) & (facing < 0.0 if entering else facing > 0.0) & (away > NEAREST)
+        rows, away, outward = rows[closer], away[closer], outward[closer]
+        place = position[rows, :2] + away[:, None] * direction[rows, :2]
+        own = (cells.of(place) == cells.of(patch.middle[None])).all(axis=1)
+        best[rows[own]] = away[own]
+        normal[rows[own]] = outward[own] * (-1.0 if entering else 1.0)
     return np.where(np.isfinite(best), best, np.nan), normal
 
 
@@ -459,16 +458,10 @@ def follow_patches(
 ) -> dict[str, Any]:
     """Trace rays through the lens patches of a file's text.
 
-    Parameters
-    ----------
-    path, position, direction, faces, low, high
-        As in `clacad.formats.step.rays_through_faces.follow_rays`.
-    window, numbers
-        The same faces as numbers of a window in the order in which light meets them.
-
-    Returns
-    -------
-    dict of lists : as of `clacad.formats.step.rays_through_faces.follow_rays`; `curved` is true everywhere
+    path, position, direction, faces, low, high : As in `clacad.formats.step.rays_through_faces.follow_rays`.
+    window, numbers : The same faces as numbers of a window in the order in which light meets them.
+    Returns dict of lists : as of `clacad.formats.step.rays_through_faces.follow_rays`; `curved` is true
+        everywhere.
     """
     patches = _kept(path, tuple(low), tuple(high))
     paths = RayPaths.begun(position, direction, len(faces))

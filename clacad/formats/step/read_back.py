@@ -8,11 +8,14 @@ pose.
 
 from __future__ import annotations
 
+import mmap
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from clacad.base.units import millimetres
 from clacad.base.untrusted_files import BUDGETS
 from clacad.formats.step.lens_placements import (
     SheetPlace,
@@ -24,7 +27,7 @@ from clacad.formats.step.lens_placements import (
 )
 from clacad.formats.step.lenses_on_cells import lens_facts
 from clacad.formats.step.shape_parts import ShapePart, pieces, whole_box
-from clacad.formats.step.text_health import Scan, patch_points, scan_step
+from clacad.formats.step.text_health import Scan, heights_of_planes, patch_points, scan_step
 from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
 
@@ -45,35 +48,20 @@ def read_step(
 ) -> dict[str, Any]:
     """Read a STEP file and report its content.
 
-    Parameters
-    ----------
-    path, window
-        The lens faces are measured against the closed form of this window.
-    kernel : bool or None
-        Whether OCC reads the file too; None: up to 24 MB.
+    path, window : The lens faces are measured against the closed form of this window.
+    kernel : Whether OCC reads the file too; None: up to 24 MB.
     lens_faces, points : int
         OCC's lens faces are sampled: the largest number of faces, and the number of points on each.
-    place : SheetPlace or None
-        The window is one sheet of several in the file; what OCC finds, and lens faces, are of that sheet
+    place : The window is one sheet of several in the file; what OCC finds, and lens faces, are of that sheet
         alone.
-
-    Returns
-    -------
-    dict
-        Of the scan: schema, name, names, colours, millimetres, bytes, solids, faces, dangling, open_edges,
-        entities. With a window: patch_error, patches (every lens patch, from the text), named (name of a
-        solid, and the body whose lenses it has). By OCC: kernel = True, valid, kernel_solids, kernel_faces,
-        volume, area, box (low, high), tolerance (largest distance within which it accepted a vertex or edge
-        as on its face, mm), and with a window lens_error,
-        lens_points, engraved (volume of letters, mm³); of plates of several layers: volumes (mm³ of each body
-        that is there).
-
-    Raises
-    ------
-    UnreadableFile
-        The file is no STEP file, is truncated, or contains no face.
-    OSError
-        The file cannot be read.
+    Returns: Of the scan: schema, name, names, colours, millimetres, bytes, solids, faces, dangling,
+        open_edges, entities. With a window: patch_error, patches (every lens patch, from the text), named
+        (name of a solid, and the body whose lenses it has). By OCC: kernel = True, valid, kernel_solids,
+        kernel_faces, volume, area, box (low, high), tolerance (largest distance within which it accepted a
+        vertex or edge as on its face, mm), and with a window lens_error, lens_points, engraved (volume of
+        letters, mm³); of plates of several layers: volumes (mm³ of each body that is there).
+    Raises UnreadableFile: The file is no STEP file, is truncated, or contains no face.
+    Raises OSError: The file cannot be read.
     """
     size = os.stat(path).st_size
     scan = scanned(path)
@@ -86,7 +74,30 @@ def read_step(
             facts["holds"] = holds
         if window is not None and (not facts["patches"] or scan.uneven):
             facts |= {"placement": _occ_placement(path, window, place)}
+    elif place is None:
+        facts["cylinders"] = cylinders_in_text(path)
     return facts
+
+
+def cylinders_in_text(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
+    """Cylinders along z of the text of a file, each in the frame of its part: diameter, at, axis; mm."""
+    found = []
+    number = rb"([-+.0-9Ee]+)"
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as text:
+
+        def entity(name: bytes, pattern: bytes) -> re.Match[bytes] | None:
+            start = text.find(b"\n#%s=" % name) + 1
+            return re.compile(rb"#\d+=" + pattern).match(text, start) if start else None
+
+        for one in re.finditer(rb"CYLINDRICAL_SURFACE\('[^']*',#(\d+)," + number + rb"\)", text):
+            frame = entity(one[1], rb"AXIS2_PLACEMENT_3D\('[^']*',#(\d+)")
+            at = frame and entity(
+                frame[1], rb"CARTESIAN_POINT\('[^']*',\(" + b",".join([number] * 3) + rb"\)\)"
+            )
+            if at:
+                middle = [float(v) for v in at.groups()]
+                found.append({"diameter": 2.0 * float(one[2]), "at": middle, "axis": (0.0, 0.0, 1.0)})
+    return found
 
 
 def _occ_placement(
@@ -106,12 +117,8 @@ def read_brep(
 ) -> dict[str, Any]:
     """Read a BREP file of OCC, mm: the OCC results of `read_step`; there is no text to scan.
 
-    Raises
-    ------
-    UnreadableFile
-        OCC cannot read it, or finds no face in it.
-    OSError
-        The file cannot be read.
+    Raises UnreadableFile: OCC cannot read it, or finds no face in it.
+    Raises OSError: The file cannot be read.
     """
     size = os.stat(path).st_size
     facts = _occ_facts(path, window, lens_faces, points)
@@ -159,6 +166,10 @@ def _text_facts(scan: Scan, window: Window | None, place: SheetPlace | None = No
     lenses, parts = patch_points(scan), [part.placements for part in scan.parts]
     found = lens_facts(window, lenses, parts if place is None else place.of_parts(lenses, parts))
     named = [(scan.parts[number].name, body) for number, body in found.pop("owners").items()]
+    layers = [body for body in window.bodies if body.layer]
+    for name, z in heights_of_planes(scan) if layers and place is None else ():
+        middle = 0.5 * float(z.min() + z.max()) / millimetres(window.unit)
+        named += [(name, one.name) for one in layers if one.front.vertex[2] < middle < one.back.vertex[2]]
     return facts | found | {"uneven": scan.uneven, "named": named}
 
 
@@ -183,7 +194,7 @@ def _occ_facts(
     """Facts that OCC finds in a file (mm); with a window its sampled lens faces are compared with that."""
     from OCP.ShapeAnalysis import ShapeAnalysis_ShapeTolerance
 
-    from clacad.solid.occ_writer import engraved_volume, is_valid, surface_area, volume
+    from clacad.solid.occ_writer import careful_volume, is_valid, surface_area, volume
 
     several = loaded(path).pieces if place is None else place.of_pieces(loaded(path).pieces)
     solids = [piece for piece in several if piece.solid]
@@ -195,7 +206,7 @@ def _occ_facts(
             f" it{'' if place is None else ' where the sheet should be'}; the file is damaged"
         )
     engraved = 0.0 if window is None else engraved_in(several, window)
-    measured = engraved_volume if engraved else volume
+    measured = careful_volume if engraved else volume
     tolerance = ShapeAnalysis_ShapeTolerance()
     count = sum(len(piece.placements) for piece in solids)
     facts: dict[str, Any] = {
@@ -232,10 +243,7 @@ class Loaded:
 def scanned(path: str | os.PathLike[str]) -> Scan:
     """Scan of the text of a file; the last one is kept for the next call in this process.
 
-    Raises
-    ------
-    UnreadableFile
-        The file is no STEP file.
+    Raises UnreadableFile: The file is no STEP file.
     """
     key = state_of(path)
     if key not in _SCANNED:
@@ -257,10 +265,7 @@ _KEPT: dict[tuple[str, int, int], Loaded] = {}
 def loaded(path: str | os.PathLike[str]) -> Loaded:
     """Shape of a file as OCC reads it; kept for the next call in this process.
 
-    Raises
-    ------
-    UnreadableFile
-        OCC cannot read it.
+    Raises UnreadableFile: OCC cannot read it.
     """
     key = state_of(path)
     if key not in _KEPT:
@@ -273,10 +278,7 @@ def loaded(path: str | os.PathLike[str]) -> Loaded:
 def occ_shape(path: str | os.PathLike[str]) -> Any:
     """The shape OCC reads from a STEP file, or from a file of its own named .brep (mm).
 
-    Raises
-    ------
-    UnreadableFile
-        OCC cannot read it.
+    Raises UnreadableFile: OCC cannot read it.
     """
     if os.fspath(path).lower().endswith(".brep"):
         return _own_shape(os.fspath(path))
@@ -306,22 +308,10 @@ def _own_shape(path: str) -> Any:
 def facets(path: str, target: str, deflection: float) -> int:
     """Mesh the solids of a STEP file and write them as binary STL, in millimetres; runs in a worker.
 
-    Parameters
-    ----------
-    path, target : str
-        The STEP file, and the STL file to write.
-    deflection : float, millimetres
-        Largest distance of a facet from its face; corners lie on the faces.
-
-    Returns
-    -------
-    int
-        Bytes written.
-
-    Raises
-    ------
-    UnreadableFile
-        The file holds nothing that can be meshed.
+    path, target : The STEP file, and the STL file to write.
+    deflection : millimetres. Largest distance of a facet from its face; corners lie on the faces.
+    Returns: Bytes written.
+    Raises UnreadableFile: The file holds nothing that can be meshed.
     """
     from pathlib import Path
 
@@ -342,19 +332,10 @@ def facets(path: str, target: str, deflection: float) -> int:
 def set_down(path: str, target: str, turn: Sequence[Sequence[float]], move: Sequence[float]) -> int:
     """Write the shape of a STEP file rotated and moved, as BREP in millimetres; runs in a worker.
 
-    Parameters
-    ----------
-    path, target : str
-        The STEP file, and the BREP file to write.
-    turn : (3, 3)
-        Proper rotation.
-    move : (3,) millimetres
-        x becomes turn · x + move.
-
-    Returns
-    -------
-    int
-        Bytes written.
+    path, target : The STEP file, and the BREP file to write.
+    turn : (3, 3). Proper rotation.
+    move : (3,) millimetres. x becomes turn · x + move.
+    Returns: Bytes written.
     """
     from pathlib import Path
 

@@ -22,10 +22,7 @@ class ShapePart:
     """A solid, or a shell or face outside of solids, with its placements.
 
     shape : kernel shape, unplaced
-    solid : bool
     faces : list of kernel faces
-    shells : int
-    placements : Placements
     """
 
     shape: Any
@@ -38,12 +35,11 @@ class ShapePart:
 def pieces(shape: Any) -> list[ShapePart]:
     """The pieces of a shape, in the order they are met.
 
-    Raises
-    ------
-    UnreadableFile
-        A part contains itself, or occurs too often.
+    Raises UnreadableFile: A part contains itself, or occurs too often.
     """
     from OCP.TopAbs import TopAbs_FACE, TopAbs_SHELL, TopAbs_SOLID
+
+    from clacad.solid.occ_writer import explored
 
     if shape.IsNull():
         return []
@@ -121,19 +117,6 @@ def moved(shape: Any, placement: Floats) -> Any:
     move = gp_Trsf()
     move.SetValues(*placement.ravel().tolist())
     return shape.Moved(TopLoc_Location(move))
-
-
-def explored(shape: Any, kind: Any) -> list[Any]:
-    """Every subshape of a kind, as often as it is used."""
-    from OCP.TopAbs import TopAbs_FACE
-    from OCP.TopExp import TopExp_Explorer
-    from OCP.TopoDS import TopoDS
-
-    explorer, found = TopExp_Explorer(shape, kind), []
-    while explorer.More():
-        found.append(TopoDS.Face(explorer.Current()) if kind == TopAbs_FACE else explorer.Current())
-        explorer.Next()
-    return found
 
 
 def box(shape: Any) -> list[list[float]]:

@@ -44,8 +44,6 @@ class Recent:
 class SharedGeometry:
     """Points, directions, curves and surfaces of a file; equal ones are written once.
 
-    Parameters
-    ----------
     part : Part21
     """
 
@@ -62,9 +60,7 @@ class SharedGeometry:
         way = arc.poles[-1] - arc.poles[0]
         way = way / np.linalg.norm(way)
         unit = tuple(way.tolist())
-        if unit not in self._vectors:
-            self._vectors[unit] = self.part.add(f"VECTOR('',#{self._direction(unit)},1.)")
-        vector = self._vectors[unit]
+        vector = self.vector(unit)
         foot = start - float(start @ way) * way
         text = f"{vector}{self.part.coordinates(foot.tolist())}"
         return self._lines.find(text) or self._lines.keep(text, self.part.add(f"LINE('',#{first},#{vector})"))
@@ -143,6 +139,12 @@ class SharedGeometry:
         rows = ",".join([f"({','.join(ids[i * n : (i + 1) * n])})" for i in range(m)])
         return part.add(f"{text[0]}{rows}{text[1]}")
 
+    def vector(self, unit: tuple[float, ...]) -> int:
+        """A unit vector, written once."""
+        if unit not in self._vectors:
+            self._vectors[unit] = self.part.add(f"VECTOR('',#{self._direction(unit)},1.)")
+        return self._vectors[unit]
+
     def _direction(self, way: tuple[float, ...]) -> int:
         if way not in self._directions:
             self._directions[way] = self.part.add(f"DIRECTION('',({','.join(real(value) for value in way)}))")
@@ -158,24 +160,25 @@ class SharedGeometry:
 class TextWriter:
     """Write shells as text; see `clacad.solid.shells.Writer`.
 
-    Parameters
-    ----------
     part : Part21
-    curves : bool
-        Write parameter curves.
+    curves : Write parameter curves.
+    points, vertices, edges, surfaces, faces : lists
+        Entities: point and vertex of every vertex; edges; surfaces; faces.
+    round : Of every surface: None, or whether it is a cylinder whose normal points to the axis.
+    roles : Of every face.
     """
 
     def __init__(self, part: Part21, curves: bool) -> None:
-        self.part, self._with_curves = part, curves
-        self._vertices: list[int] = []
-        self._points: list[int] = []
-        self._edges: list[int] = []
+        self.part, self.with_curves = part, curves
+        self.vertices: list[int] = []
+        self.points: list[int] = []
+        self.edges: list[int] = []
         self._open: dict[int, tuple[int, int, Arc, Floats, list[str], list[bool]]] = {}
-        self._surfaces: list[int] = []
-        self._round: list[bool | None] = []
+        self.surfaces: list[int] = []
+        self.round: list[bool | None] = []
         self.faces: list[int] = []
         self.roles: list[Role] = []
-        self._geometry = SharedGeometry(part)
+        self.geometry = SharedGeometry(part)
 
     @property
     def unfinished(self) -> int:
@@ -184,29 +187,29 @@ class TextWriter:
 
     def vertex(self, point: Floats, tolerance: float) -> int:
         """Write a vertex (text has no tolerance: readers find it from the geometry)."""
-        at = self._geometry.point(self.part.coordinates(point.tolist()))
-        self._points.append(at)
-        self._vertices.append(self.part.add(f"VERTEX_POINT('',#{at})"))
-        return len(self._vertices) - 1
+        at = self.geometry.point(self.part.coordinates(point.tolist()))
+        self.points.append(at)
+        self.vertices.append(self.part.add(f"VERTEX_POINT('',#{at})"))
+        return len(self.vertices) - 1
 
     def edge(self, first: int, last: int, arc: Arc, offset: Floats, tolerance: float) -> int:
         """Reserve an edge; it is written when two faces have used it."""
-        number = len(self._edges)
-        self._edges.append(self.part.reserve())
+        number = len(self.edges)
+        self.edges.append(self.part.reserve())
         self._open[number] = (first, last, arc, offset, [], [])
         return number
 
     def surface(self, surface: Surface, offset: Floats) -> int:
         """Write a surface."""
-        self._round.append(surface.inward if isinstance(surface, Cylinder) else None)
+        self.round.append(surface.inward if isinstance(surface, Cylinder) else None)
         if isinstance(surface, Plane):
-            number = self._geometry.plane(surface, offset)
+            number = self.geometry.plane(surface, offset)
         elif isinstance(surface, Cylinder):
-            number = self._geometry.cylinder(surface, offset)
+            number = self.geometry.cylinder(surface, offset)
         else:
-            number = self._geometry.patch(surface, offset)
-        self._surfaces.append(number)
-        return len(self._surfaces) - 1
+            number = self.geometry.patch(surface, offset)
+        self.surfaces.append(number)
+        return len(self.surfaces) - 1
 
     def face(self, surface: int, same_sense: bool, loops: list[Loop], role: Role) -> int:
         """Write a face and its loops."""
@@ -218,17 +221,15 @@ class TextWriter:
                 if use.edge < 0:
                     continue  # a side closed in a point is no edge in STEP
                 sense = "T" if use.forward else "F"
-                uses.append(part.add(f"ORIENTED_EDGE('',*,*,#{self._edges[use.edge]},.{sense}.)"))
+                uses.append(part.add(f"ORIENTED_EDGE('',*,*,#{self.edges[use.edge]},.{sense}.)"))
             ring = part.add(f"EDGE_LOOP('',({','.join(f'#{use}' for use in uses)}))")
             bounds.append(part.add(f"{'FACE_OUTER_BOUND' if n == 0 else 'FACE_BOUND'}('',#{ring},.T.)"))
             for use in loop:
                 if use.edge >= 0:
-                    self._use(use.edge, use.forward, use.parameters, surface)
+                    self.use(use.edge, use.forward, use.parameters, surface)
         listed = ",".join(f"#{bound}" for bound in bounds)
-        sense = "T" if same_sense and not self._round[surface] else "F"
-        self.faces.append(
-            part.add(f"ADVANCED_FACE('{role}',({listed}),#{self._surfaces[surface]},.{sense}.)")
-        )
+        sense = "T" if same_sense and not self.round[surface] else "F"
+        self.faces.append(part.add(f"ADVANCED_FACE('{role}',({listed}),#{self.surfaces[surface]},.{sense}.)"))
         self.roles.append(role)
         return len(self.faces) - 1
 
@@ -238,15 +239,16 @@ class TextWriter:
         shell = self.part.add(f"CLOSED_SHELL('',({listed}))")
         return self.part.add(f"MANIFOLD_SOLID_BREP({quoted(name)},#{shell})")
 
-    def _use(self, edge: int, forward: bool, parameters: Arc | None, surface: int) -> None:
+    def use(self, edge: int, forward: bool, parameters: Arc | None, surface: int) -> None:
+        """Count a use of an edge by a face, with its parameter curve; the second one writes the edge."""
         if edge not in self._open:
             raise ValueError("an edge is used by more than two faces; please report the design")
         first, last, arc, offset, curves, senses = self._open[edge]
         senses.append(forward)
         # a cylinder's own parameter is the angle, that of its edges is not: readers project them
-        if parameters is not None and self._with_curves and self._round[surface] is None:
-            shared = self._geometry.parameter_curve(parameters)
-            number = self.part.add(f"PCURVE('',#{self._surfaces[surface]},#{shared})")
+        if parameters is not None and self.with_curves and self.round[surface] is None:
+            shared = self.geometry.parameter_curve(parameters)
+            number = self.part.add(f"PCURVE('',#{self.surfaces[surface]},#{shared})")
             curves.append(f"#{number}")
         if len(senses) == 2:
             if senses[0] == senses[1]:
@@ -256,15 +258,15 @@ class TextWriter:
 
     def _finish(self, edge: int, first: int, last: int, arc: Arc, offset: Floats, curves: list[str]) -> None:
         part = self.part
-        ends = self._points[first], self._points[last]
+        ends = self.points[first], self.points[last]
         if arc.straight and not curves:
-            curve = self._geometry.line(ends[0], arc, offset)
+            curve = self.geometry.line(ends[0], arc, offset)
         else:
-            curve = self._geometry.curve(*ends, arc, offset)
+            curve = self.geometry.curve(*ends, arc, offset)
         if curves:
             curve = part.add(f"SURFACE_CURVE('',#{curve},({','.join(curves)}),.PCURVE_S1.)")
         part.put(
-            self._edges[edge], f"EDGE_CURVE('',#{self._vertices[first]},#{self._vertices[last]},#{curve},.T.)"
+            self.edges[edge], f"EDGE_CURVE('',#{self.vertices[first]},#{self.vertices[last]},#{curve},.T.)"
         )
 
 

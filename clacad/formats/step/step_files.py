@@ -18,10 +18,10 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.formats.step.part21 import Part21, StepColour
+from clacad.formats.step.cell_text import SheetWriter
+from clacad.formats.step.part21 import Mode, Part21, StepColour, chosen_mode
 from clacad.formats.step.read_back import read_step
 from clacad.formats.step.shell_text import TextWriter
-from clacad.formats.step.step_mode import Mode, chosen_mode
 from clacad.sheet.face_order import plates_of
 from clacad.sheet.window import Body, Window
 from clacad.solid.shells import MERGE, ShellCounts, Shells
@@ -51,36 +51,18 @@ def write_step(
 ) -> dict[str, Any]:
     """Write a window as a STEP file.
 
-    Parameters
-    ----------
-    window : Window
-    path : path
-        Written in place; publish it atomically from outside.
-    mode : "auto", "fused" or "instanced"
-        fused: one closed solid per connected piece; instanced: an assembly cell → row → body of touching
-        solids;
-        auto: fused up to 2500 cells.
+    path : Written in place; publish it atomically from outside.
+    mode : "auto", "fused" or "instanced". fused: one closed solid per connected piece; instanced: an assembly
+        cell → row → body of touching solids; auto: fused up to 2500 cells.
     schema : "AP242" or "AP214"
-    pcurves : bool
-        Write the exact parameter curves (fused). Without them files shrink and readers recompute them.
-    merge : float, mm
-        Heights closer than this are merged (see `describe_body`).
-
-    Returns
-    -------
-    dict
-        mode, schema, pcurves, unit, bytes, solids, faces, bodies (per body: name, solids, faces by role),
-        saddles, wedges,
-        merged_steps, merge, largest_shift, fit_error and rim_error (largest distance of fitted lens faces
-        and of fitted
-        rims from the true ones, mm; 0 where all are exact), placed (solids counted with their instances).
-
-    Raises
-    ------
-    ValueError
-        The window cannot be built as solids, or an argument is not one of its choices.
-    OSError
-        The file cannot be written.
+    pcurves : Write the exact parameter curves (fused). Without them files shrink and readers recompute them.
+    merge : mm. Heights closer than this are merged (see `describe_body`).
+    Returns: mode, schema, pcurves, unit, bytes, solids, faces, bodies (per body: name, solids, faces by
+        role), saddles, wedges, merged_steps, merge, largest_shift, fit_error and rim_error (largest distance
+        of fitted lens faces and of fitted rims from the true ones, mm; 0 where all are exact), placed (solids
+        counted with their instances).
+    Raises ValueError: The window cannot be built as solids, or an argument is not one of its choices.
+    Raises OSError: The file cannot be written.
     """
     chosen = chosen_mode(window, mode)
     with open(path, "w", encoding="ascii", newline="\n") as stream:
@@ -105,10 +87,7 @@ class _Counted(io.StringIO):
 def step_text_length(window: Window, mode: Literal["fused", "instanced"], pcurves: bool = True) -> int:
     """Bytes of the STEP file of a window, from its text, which is generated and discarded.
 
-    Raises
-    ------
-    ValueError
-        The window cannot be built as solids.
+    Raises ValueError: The window cannot be built as solids.
     """
     stream = _Counted()
     _write(window, stream, mode, "AP242", pcurves, MERGE)
@@ -137,25 +116,12 @@ def write_step_stack(
 ) -> dict[str, Any]:
     """Write several windows as one assembly, each moved along z; a window that occurs twice is written once.
 
-    Parameters
-    ----------
-    placed : sequence of (name, window, z)
-        z in mm, of the window's own z = 0.
-    name : str
-        Of the assembly.
-    path, mode, schema, pcurves, merge
-        As in `write_step`; "auto" decides for each window.
-
-    Returns
-    -------
-    dict
-        schema, pcurves, unit, bytes, merge and the totals of `write_step`; sheets: for each the facts of
+    placed : sequence of (name, window, z). z in mm, of the window's own z = 0.
+    name : Of the assembly.
+    path, mode, schema, pcurves, merge : As in `write_step`; "auto" decides for each window.
+    Returns: schema, pcurves, unit, bytes, merge and the totals of `write_step`; sheets: for each the facts of
         `write_step`, with its name and z.
-
-    Raises
-    ------
-    ValueError, OSError
-        As in `write_step`.
+    Raises ValueError, OSError: As in `write_step`.
     """
     pitch = min(min(window.lattice.pitch) * millimetres(window.unit) for _, window, _ in placed)
     made: dict[int, tuple[_Sheet, str]] = {}
@@ -241,7 +207,7 @@ def _facts(name: str, solids: int, counts: ShellCounts, parts: Sequence[Layer]) 
 def _write_fused(window: Window, part: Part21, pcurves: bool, merge: float) -> _Sheet:
     facts, styles, made = [], [], dict[str, list[int]]()
     for body, colour in zip(window.bodies, cycle(BODY_COLOURS), strict=False):
-        writer = TextWriter(part, pcurves)
+        writer = SheetWriter(part, pcurves)
         shells = describe_body(window, body, writer, merge)
         made[body.name] = _solids(writer, shells, body.name)
         styles += _coloured(part, writer, shells, made[body.name], colour)

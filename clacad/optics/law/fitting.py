@@ -44,20 +44,12 @@ class FittedParameters(NamedTuple):
 def fit_law(d_in: ArrayLike, d_out: ArrayLike, axes: LawParameters | None = None) -> FittedParameters:
     """Fit d_out ∝ A d_in.
 
-    Parameters
-    ----------
     d_in, d_out : (n, 3) arrays, any length > 0
         Directions before and behind the sheet; rows that are not finite are left out.
-    axes : LawParameters or None
-        Hold φ, θ, ψ at these values and fit η and δ (4 parameters, well conditioned); None fits all seven.
+    axes : Hold φ, θ, ψ at these values and fit η and δ (4 parameters, well conditioned); None fits all seven.
         In a narrow bundle θ and δ have similar effects; the covariance shows that.
-
-    Raises
-    ------
-    ValueError
-        Fewer than 2 (axes held) or 4 usable rays, shapes that differ, or exit directions that do not depend
-        on
-        the incoming ones along an axis (η would be infinite).
+    Raises ValueError: Fewer than 2 (axes held) or 4 usable rays, shapes that differ, or exit directions that
+        do not depend on the incoming ones along an axis (η would be infinite).
 
     Notes
     -----

@@ -41,12 +41,8 @@ Gradient = tuple[Pair2, Pair2]
 class VaryingLaw:
     """A law of refraction whose offset δ is linear in the position on the sheet.
 
-    Parameters
-    ----------
-    law : Law
-        At the sheet's origin.
-    gradient : ((K_xx, K_xy), (K_yx, K_yy)), 1/length
-        Rows: lens axes; columns: sheet axes.
+    law : At the sheet's origin.
+    gradient : ((K_xx, K_xy), (K_yx, K_yy)), 1/length. Rows: lens axes; columns: sheet axes.
     """
 
     law: Law
@@ -55,14 +51,8 @@ class VaryingLaw:
     def deltas(self, places: ArrayLike) -> Floats:
         """δ at points of the sheet, rounded once even under cancellation.
 
-        Parameters
-        ----------
-        places : (..., 2) array, lengths
-            Sheet frame.
-
-        Returns
-        -------
-        (..., 2) array
+        places : (..., 2) array, lengths. Sheet frame.
+        Returns (..., 2) array.
         """
         points = np.asarray(places, np.float64)
         x, y = pair(points[..., 0]), pair(points[..., 1])
@@ -81,17 +71,9 @@ class VaryingLaw:
     def refract(self, d: ArrayLike, places: ArrayLike) -> Floats:
         """Directions behind the sheet by the smooth law.
 
-        Parameters
-        ----------
-        d : (n, 3) array
-            Directions before the sheet, any length > 0.
-        places : (n, 2) array, lengths
-            Points at which they cross it.
-
-        Returns
-        -------
-        (n, 3) array
-            Unit directions, NaN rows as of `Law.refract`.
+        d : (n, 3) array. Directions before the sheet, any length > 0.
+        places : (n, 2) array, lengths. Points at which they cross it.
+        Returns (n, 3) array: Unit directions, NaN rows as of `Law.refract`.
         """
         return refract_each(self.law, self.deltas(places), d)
 
@@ -122,13 +104,9 @@ Exact = Fraction
 class Glens:
     """One axis of a sheet of thin pairs with δ(x) = δ₀ + κ x.
 
-    Parameters
-    ----------
-    eta, kappa : float, number and 1/length
-    separation : float, length
-        From array 1 to array 2; 0 is the sheet of no thickness.
-    delta : float
-        δ₀, at the sheet's origin.
+    eta, kappa : number and 1/length
+    separation : length. From array 1 to array 2; 0 is the sheet of no thickness.
+    delta : δ₀, at the sheet's origin.
     """
 
     eta: float
@@ -168,11 +146,6 @@ class Glens:
             (chief - Exact(self.delta)) * high + Exact(self.eta) * low * Exact(self.separation) * chief,
             Exact(self.eta) * low,
         )
-
-    def image_x_of_parallel(self, slope: float) -> float:
-        """Lateral position (length) at which parallel light of slope t meets: s t + (t − δ₀)/κ."""
-        t, kappa = Exact(slope), Exact(self.kappa)
-        return _ratio(Exact(self.separation) * t * kappa + t - Exact(self.delta), kappa)
 
     def magnification(self, z: float) -> float:
         """Lateral magnification dx_i/dx_o of an object at height z (length)."""
@@ -237,11 +210,8 @@ def imaging_scaled(z: float, image: float, magnification: float, separation: flo
 class Superlens:
     """One axis of two arrays of thin lenses of two pitches, cells and vertices of each at its own.
 
-    Parameters
-    ----------
-    pitches, focal_lengths : (2,) lengths
-        p1, p2 and f1, f2; the arrays are mounted f1 + f2 apart.
-    turn : float, radians
+    pitches, focal_lengths : (2,) lengths. p1, p2 and f1, f2; the arrays are mounted f1 + f2 apart.
+    turn : radians
         Rotation of the second array against the first. κ, foci and nodal point are given without it.
 
     Notes
@@ -311,27 +281,13 @@ class Superlens:
         return _ratio(length * p1, p1 - p2)
 
 
-def moire_magnification(pitch: float, pitch_2: float, turn: float) -> float:
-    """Magnification p/√(Δp² + (pα)²) of a moiré magnifier: pitches in lengths, small rotation α in radians.
-
-    M. C. Hutley et al., Pure Appl. Opt. 3, 133 (1994); H. Kamal, R. Völkel and J. Alda, Opt. Eng. 37(11)
-    (1998).
-    """
-    apart = hypot(float(Exact(pitch_2) - Exact(pitch)), pitch * turn)
-    return inf if apart == 0.0 else pitch / apart
-
-
 @dataclass(frozen=True, slots=True)
 class SharpPair:
     """Thin lenses that image one plane to another sharply, all pairs alike; the pairs are not afocal.
 
-    Parameters
-    ----------
     focal_lengths : (2,) lengths
-    object_z : float, length
-        Height of the object plane, array 1 at 0.
-    image_distance : float, length
-        From array 2.
+    object_z : length. Height of the object plane, array 1 at 0.
+    image_distance : length. From array 2.
 
     Notes
     -----
@@ -384,9 +340,8 @@ class SharpPair:
 def cell_width(focal_lengths: Pair2, separation: float, planes: Pair2, pitch: float) -> float:
     """Full width (length) of a point's light on a plane behind array 2 when one cell of a pitch fills lens 1.
 
-    planes : (z, ζ), lengths
-        Height of the point from array 1, and of the plane from array 2. Either may be infinite (then: 0, or
-        an angle).
+    planes : (z, ζ), lengths. Height of the point from array 1, and of the plane from array 2. Either may be
+        infinite (then: 0, or an angle).
     """
     f1, f2 = map(Exact, focal_lengths)
     slope = -_reciprocal(planes[0]) - 1 / f1

@@ -5,28 +5,33 @@ the camera, so the law's incoming side is the camera's. Imaging by generalized s
 Courtial, J. Opt. Soc. Am. A 30, 2334 (2013).
 
 Closed forms of a thin pair: δ that sends a cell's light to a given point, and the spot's width.
+
+The law of a sheet between two spaces that are affine images of one space in which all light is straight.
+Coordinate-transform optics bends space (Leonhardt, Science 312, 1777 (2006); Pendry, Schurig & Smith, ibid.
+1780). Where two affine pieces meet in a plane, the map from one to the other is A = J₂⁻¹ J₁, and light of
+direction d goes on along A d. A sheet displaces no light, so A keeps every point of the plane, and η = det A
+in both axes: these are the homogeneous sheets that image all space.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.pairs import two_product, two_sum
 from clacad.base.types import Floats, Pair2
+from clacad.optics.law.law import Law
 
-if TYPE_CHECKING:
-    from clacad.optics.law.law import Law
+SAME = 1e-9
+"""Largest disagreement of two maps on the plane of a sheet, relative to the size of their columns."""
+
+Columns = tuple[list[Fraction], ...]
 
 
 def slope_map(law: Law) -> tuple[Floats, Floats]:
     """Slopes behind the sheet, to first order about light along the sheet's normal: τ' ≈ τ'₀ + J τ.
-
-    Parameters
-    ----------
-    law : Law
 
     Returns
     -------
@@ -187,12 +192,9 @@ def spot_widths(
 
     |η| p; 2 Z α/|η| for a source of half angle α (radians); λ Z/(|η| p).
 
-    Parameters
-    ----------
-    law : Law
     pitch : (2,) lengths
-    distance, wavelength : float, lengths
-    source : float, radians
+    distance, wavelength : lengths
+    source : radians
     """
     scale = np.abs([law.eta_x, law.eta_y])
     beam = scale * np.array(pitch)
@@ -200,3 +202,92 @@ def spot_widths(
         tuple(v.tolist()) for v in (beam, 2.0 * distance * source / scale, wavelength * distance / beam)
     )
     return x, y, z
+
+
+def law_between(map_1: ArrayLike, map_2: ArrayLike) -> Law:
+    """Return the law of the sheet in z = 0 behind which space is `map_2`, and before which it is `map_1`.
+
+    Parameters
+    ----------
+    map_1, map_2 : (3, 4) arrays
+        Affine maps from places (x, y, z) of the space before and behind the sheet, in the sheet's frame, to
+        the space in which all light is straight: the first three columns multiply (x, y, z), the last one is
+        added (lengths). (3, 3): nothing is added.
+
+    Returns
+    -------
+    Law
+        η_x = η_y = det J₁/det J₂, δ from where the map leads the sheet's normal; each number is rounded once.
+
+    Raises
+    ------
+    ValueError
+        No sheet of lens pairs does this. The message names the condition that fails: a map that is no finite
+        (3, 3) or (3, 4) array; a map that flattens space; maps that move points of the plane of the sheet
+        differently (a sheet displaces no light); or space sheared sideways at unchanged depth, which is η = 1
+        with an offset.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> law_between(np.eye(3), np.diag([1.0, 1.0, 2.0])).eta_x
+    0.5
+    """
+    first, second = _columns("map_1", map_1), _columns("map_2", map_2)
+    before, behind = (_determinant(*columns[:3]) for columns in (first, second))
+    for name, size in (("map_1", before), ("map_2", behind)):
+        if size == 0:
+            raise ValueError(
+                f"{name} flattens space: its determinant is 0, so light behind it has no one law"
+            )
+    _same_plane(first, second)
+    # Cramer: the third column of J2^-1 J1
+    x, y = (
+        _determinant(*(first[2] if k == axis else second[k] for k in (0, 1, 2))) / behind for axis in (0, 1)
+    )
+    eta = before / behind
+    if eta == 1 and (x or y):
+        raise ValueError(
+            f"the maps shear space by ({float(x):g}, {float(y):g}) at unchanged depth: eta = 1 with an"
+            " offset, which no pair of lenses has; a prism does that"
+        )
+    return Law(float(eta), float(eta), float(-x) + 0.0, float(-y) + 0.0)
+
+
+def _columns(name: str, given: ArrayLike) -> Columns:
+    """Columns of an affine map as fractions: x, y, z and the shift."""
+    whole = np.asarray(given, np.float64)
+    if whole.shape not in ((3, 3), (3, 4)) or not np.isfinite(whole).all():
+        raise ValueError(
+            f"{name} is no affine map of space: give 3 rows of 3 or 4 finite numbers, not an array of shape "
+            f"{whole.shape}"
+        )
+    if whole.shape == (3, 3):
+        whole = np.column_stack([whole, np.zeros(3)])
+    return tuple([Fraction(float(value)) for value in column] for column in whole.T)
+
+
+def _determinant(a: list[Fraction], b: list[Fraction], c: list[Fraction]) -> Fraction:
+    """Determinant of three columns."""
+    return (
+        a[0] * (b[1] * c[2] - b[2] * c[1])
+        - a[1] * (b[0] * c[2] - b[2] * c[0])
+        + a[2] * (b[0] * c[1] - b[1] * c[0])
+    )
+
+
+def _same_plane(first: Columns, second: Columns) -> None:
+    """Refuse maps that differ on the plane of the sheet. Raises ValueError."""
+    for number, where in ((0, "along x"), (1, "along y"), (3, "at its origin")):
+        one, other = _floats(first[number]), _floats(second[number])
+        apart = float(np.linalg.norm(one - other))
+        if apart > SAME * max(np.linalg.norm(one), np.linalg.norm(other)):
+            raise ValueError(
+                f"the maps disagree on the plane of the sheet {where}, by {apart:.6g}: map_1 leads to "
+                f"{one.tolist()}, map_2 to {other.tolist()}. A sheet changes directions and displaces no "
+                "light, so both must agree on z = 0"
+            )
+
+
+def _floats(column: list[Fraction]) -> Floats:
+    return np.array([float(value) for value in column])

@@ -113,8 +113,8 @@ class Law:
         -----
         Homogeneous form: m = Rᵀd, then (m_x − δ_x m_z)/η_x, (m_y − δ_y m_z)/η_y, m_z. No slope is formed,
         so nothing is divided by m_z. The differences are compensated: light that leaves along the axis
-        because t ≈ δ keeps its relative accuracy. Powers of two are carried apart, so neither 1e±200 in d
-        nor |δ| = 1e200 nor η = 1e±200 overflows.
+        because t ≈ δ keeps its relative accuracy. Powers of two are carried apart, so that d and η of
+        1e±200 and δ of 1e200 do not overflow.
         """
         return refracted((self.eta_x, self.eta_y), (self.delta_x, self.delta_y), self.rotation, d)
 
@@ -296,10 +296,7 @@ class Fit:
 def law_in_axes(d_in: ArrayLike, d_out: ArrayLike, axes: Law) -> Law:
     """Fit η and δ with the axes of another law held, without the uncertainties that `Law.fit` reports.
 
-    Raises
-    ------
-    ValueError
-        As `fit_law`.
+    Raises ValueError: As `fit_law`.
     """
     return Law(*held_fit(*usable_rays(d_in, d_out, 2), axes.parameters))
 

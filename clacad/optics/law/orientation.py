@@ -135,8 +135,6 @@ def _z_x_z(phi: float, theta: float, psi: float, cos_sin: CosSin) -> Floats:
 def difference_of_products(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
     """a·b − c·d (n,) to about one unit in the last place of the result, also under cancellation.
 
-    Parameters
-    ----------
     a, b, c, d : arrays of one shape, within the range of `clacad.base.pairs.two_product`
     """
     first, first_error = two_product(a, b)
@@ -148,14 +146,8 @@ def difference_of_products(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats
 def power_of_two_scaled(vectors: Floats) -> Floats:
     """Rows scaled by powers of two so that the largest component lies in [1/2, 1): no rounding.
 
-    Parameters
-    ----------
     vectors : (n, 3) array
-
-    Returns
-    -------
-    (n, 3) array
-        Rows that are zero or not finite come back as they are.
+    Returns (n, 3) array: Rows that are zero or not finite come back as they are.
     """
     largest = np.max(np.abs(vectors), axis=1)
     exponent = np.frexp(np.where(np.isfinite(largest), largest, 1.0))[1]
@@ -256,18 +248,11 @@ class Decomposition(NamedTuple):
 def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
     """Read a law with the given optical axis from a matrix, d' ∝ A d.
 
-    Parameters
-    ----------
     matrix : (3, 3) array
-    axis : (3,) array
-        Assumed optical axis n, any length; taken with n_z > 0.
-
-    Returns
-    -------
-    Decomposition or None
-        The law of the nearest matrix of a Law with this axis; `axis_residual` = |nᵀA − k nᵀ| and
-        `asymmetry` = antisymmetric part of A across n, both in the units of A. None where k = nᵀAn ≤ 0
-        or A across the axis is singular.
+    axis : (3,) array. Assumed optical axis n, any length; taken with n_z > 0.
+    Returns: The law of the nearest matrix of a Law with this axis; `axis_residual` = |nᵀA − k nᵀ| and
+        `asymmetry` = antisymmetric part of A across n, both in the units of A. None where k = nᵀAn ≤ 0 or A
+        across the axis is singular.
     """
     n = axis / np.linalg.norm(axis) * (1.0 if axis[2] > 0 else -1.0)
     k = float(n @ matrix @ n)
@@ -298,20 +283,14 @@ def decompose(matrix: Floats, axis: Floats) -> Decomposition | None:
 def candidate_axes(matrix: Floats) -> list[Floats]:
     """Optical axes that a Law's matrix, exact or noisy, can have.
 
-    Parameters
-    ----------
     matrix : (3, 3) array
-
-    Returns
-    -------
-    list of (3,) arrays
+    Returns list of (3,) arrays.
 
     Notes
     -----
     The axis is a left eigenvector n with n · w = 0, w = (A₃₂ − A₂₃, A₁₃ − A₃₁, A₂₁ − A₁₂): A is then
-    symmetric
-    across n. Where two eigenvalues agree (η = 1 along an axis) every mixture of their vectors is a left
-    eigenvector and n · w = 0 picks the one; rounding or noise may have split them into a complex pair.
+    symmetric across n. Where two eigenvalues agree (η = 1 along an axis) every mixture of their vectors is a
+    left eigenvector and n · w = 0 picks the one; rounding or noise may have split them into a complex pair.
     """
     values, vectors = np.linalg.eig(matrix.T)
     span = [part for v in vectors.T[values.imag >= 0] for part in (v.real, v.imag) if part.any()]

@@ -26,26 +26,13 @@ _BLOCK = 8192  # rows at a time: the temporaries stay in the cache
 def refracted(eta: Pair2 | Floats, delta: Pair2 | Floats, turn: Floats, d: ArrayLike) -> Floats:
     """Directions behind a sheet; `Law.refract` lists the cases without an answer.
 
-    Parameters
-    ----------
-    eta : (2,) numbers, or (n, 2) array
-        η along the lens axes: of the sheet, or of each direction.
-    delta : (2,) numbers, or (n, 2) array
-        δ along the lens axes: of the sheet, or of each direction.
-    turn : (3, 3)
-        Lens → sheet.
+    eta : (2,) numbers, or (n, 2) array. η along the lens axes: of the sheet, or of each direction.
+    delta : (2,) numbers, or (n, 2) array. δ along the lens axes: of the sheet, or of each direction.
+    turn : (3, 3). Lens → sheet.
     d : (n, 3) array, or (..., 3) where δ is one
         Directions in the sheet frame, any length > 0; (n, 3) also where η is of each.
-
-    Returns
-    -------
-    array of the shape of d
-        Unit directions, NaN rows where the law has no answer.
-
-    Raises
-    ------
-    ValueError
-        If the last dimension of d is not 3.
+    Returns array of the shape of d: Unit directions, NaN rows where the law has no answer.
+    Raises ValueError: If the last dimension of d is not 3.
     """
     directions = np.asarray(d, np.float64)
     if directions.ndim == 0 or directions.shape[-1] != 3:

@@ -31,15 +31,8 @@ CATALOGUE = "catalog-nk.yml"
 def page(name: str) -> Material:
     """The material of a page.
 
-    Parameters
-    ----------
-    name : str
-        "ri:SHELF/BOOK/PAGE", as in the address of the page.
-
-    Raises
-    ------
-    ValueError
-        The database or the page is missing, or the page has no usable refractive index.
+    name : "ri:SHELF/BOOK/PAGE", as in the address of the page.
+    Raises ValueError: The database or the page is missing, or the page has no usable refractive index.
     """
     parts = tuple(name.removeprefix(PREFIX).split("/"))
     if len(parts) != 3 or not all(parts):
@@ -48,13 +41,7 @@ def page(name: str) -> Material:
 
 
 def folder() -> Path:
-    """Folder of the database.
-
-    Raises
-    ------
-    ValueError
-        No folder was found.
-    """
+    """Folder of the database. Raises ValueError: No folder was found."""
     asked = os.environ.get(VARIABLE)
     if asked:
         place = Path(asked)
@@ -181,16 +168,9 @@ def names() -> tuple[str, ...]:
 def find(name: str) -> Material:
     """The material with a given name or alias; case, spaces, hyphens and ® do not count.
 
-    Parameters
-    ----------
-    name : str
-        Of the table, or "ri:SHELF/BOOK/PAGE": a page of the refractiveindex.info database, if that is
+    name : Of the table, or "ri:SHELF/BOOK/PAGE": a page of the refractiveindex.info database, if that is
         installed.
-
-    Raises
-    ------
-    ValueError
-        If there is none, naming the nearest ones.
+    Raises ValueError: If there is none, naming the nearest ones.
     """
     if name.startswith(PREFIX):
         return page(name)
@@ -203,12 +183,7 @@ def find(name: str) -> Material:
 
 
 def suggestions(name: str) -> tuple[str, ...]:
-    """Up to three names of the table nearest to an unknown one.
-
-    Parameters
-    ----------
-    name : str
-    """
+    """Up to three names of the table nearest to an unknown one."""
     _, known = _table()
     return tuple(dict.fromkeys(known[plain] for plain in near(_plain(name), known, most=6)))[:3]
 

@@ -142,14 +142,9 @@ class WavelengthNotKnown(ValueError):
 class ThermalNumbers:
     """Published properties of a material near room temperature; None where none is published.
 
-    Parameters
-    ----------
-    dn_dt : (1/K, metres) or None
-        Change of the index relative to air, and the wavelength it was measured at.
-    expansion : float or None, 1/K
-        Linear.
-    source : str
-        "" where it is the source of the index.
+    dn_dt : (1/K, metres) or None. Change of the index relative to air, and the wavelength it was measured at.
+    expansion : float or None, 1/K. Linear.
+    source : "" where it is the source of the index.
     """
 
     dn_dt: tuple[float, float] | None = None
@@ -319,16 +314,9 @@ class Material:
 def constant(index: float, name: str | None = None) -> Material:
     """A material of one index at every wavelength.
 
-    Parameters
-    ----------
-    index : float
-        n ≥ 1.
-    name : str, optional
-
-    Raises
-    ------
-    ValueError
-        If the index is not a finite number ≥ 1.
+    index : n ≥ 1.
+    name : optional
+    Raises ValueError: If the index is not a finite number ≥ 1.
     """
     if not (isfinite(index) and index >= 1.0):
         raise ValueError(f"index = {index!r} is no refractive index of a transparent solid; it must be >= 1")

@@ -21,6 +21,7 @@ from clacad.optics.surface.sag_and_normal import (
     resized,
     sag,
     sharpest_bend,
+    simplest,
 )
 
 __all__ = [
@@ -41,5 +42,6 @@ __all__ = [
     "resized",
     "sag",
     "sharpest_bend",
+    "simplest",
     "upright_sag",
 ]

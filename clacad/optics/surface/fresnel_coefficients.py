@@ -29,17 +29,9 @@ def deviation(before: Floats, after: Floats) -> Floats:
 def amplitudes(turn: Floats, n1: float, n2: float) -> tuple[Floats, Floats]:
     """Reflection coefficients (r_s, r_p) of light that went through an interface.
 
-    Parameters
-    ----------
-    turn : (m,) array
-        1 − D·D', see `deviation`.
-    n1, n2 : float
-        Index before and after; equal ones give zeros.
-
-    Returns
-    -------
-    r_s, r_p : (m,) arrays
-        At normal incidence r_s = −r_p = (n1 − n2)/(n1 + n2).
+    turn : (m,) array. 1 − D·D', see `deviation`.
+    n1, n2 : Index before and after; equal ones give zeros.
+    Returns r_s, r_p : (m,) arrays: At normal incidence r_s = −r_p = (n1 − n2)/(n1 + n2).
     """
     step = (n2 - n1) * (n2 + n1)
     if step == 0.0:
@@ -64,12 +56,8 @@ def normal_loss(index: float) -> float:
 def coated(turn: Floats, n1: float, n2: float, ratio: float) -> tuple[Floats, Floats]:
     """Reflected shares (R_s, R_p) of an interface under a quarter-wave layer of index sqrt(n1 n2).
 
-    Parameters
-    ----------
-    turn : (m,) array
-        1 − D·D' of the uncoated passage, which a layer does not change.
-    ratio : float
-        Design wavelength of the layer over the wavelength of the light.
+    turn : (m,) array. 1 − D·D' of the uncoated passage, which a layer does not change.
+    ratio : Design wavelength of the layer over the wavelength of the light.
 
     Notes
     -----

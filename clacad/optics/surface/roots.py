@@ -48,8 +48,7 @@ CANCELS = 1e3
 
 
 STEEPEST = 0.25
-"""|N| below which rays are not carried to the vertex plane, which may lie far off, but to the apex's
-level.
+"""|N| below which rays are not carried to the vertex plane, which may lie far off, but to the apex's level.
 """
 
 
@@ -109,10 +108,7 @@ def upright_sag(surface: Quadric, x: Floats, y: Floats) -> Floats | None:
 
 
 def _discriminant(
-    shape: tuple[float, float, int],
-    kappa: Floats,
-    start: tuple[Floats, ...],
-    ray: tuple[Floats, ...],
+    shape: tuple[float, float, int], kappa: Floats, start: tuple[Floats, ...], ray: tuple[Floats, ...]
 ) -> Floats:
     """B² − AC in pairs. It is constant along the ray, so the unrounded start is used."""
     cx, cy = pair(shape[0]), pair(shape[1])
@@ -268,8 +264,7 @@ def _polished(surface: Biconic, t: Floats, base: Columns, ray: Columns) -> tuple
 
 
 POLYNOMIAL_STEPS = 120
-"""Four steps suffice for lens-like hits; the rest is for grazing rays, and for halvings down to the last
-bit.
+"""Four steps suffice for lens-like hits; the rest is for grazing rays, and for halvings down to the last bit.
 """
 
 

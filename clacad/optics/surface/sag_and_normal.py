@@ -11,12 +11,11 @@ side = +1: positive curvature bends towards +z (front of a biconvex lens); side 
 (cx, cy, κ, side) and (−cx, −cy, −κ, −side) are the same points; `side` is kept as the face was built and the
 curvatures carry the sign, so a concave face has negative cx, cy and κ. Only the half nearer the apex belongs.
 
-Notation inside: position (x, y, z), direction (L, M, N), apex curvatures cx, cy, index ratio µ = n1/n2;
-G is the unnormalised normal (−side cx x, −side cy y, 1 − side κ z). At a hit D·G = r = sqrt(B² − AC) for a
-unit
+Notation inside: position (x, y, z), direction (L, M, N), apex curvatures cx, cy, index ratio µ = n1/n2; G is
+the unnormalised normal (−side cx x, −side cy y, 1 − side κ z). At a hit D·G = r = sqrt(B² − AC) for a unit
 direction, so the cosine of incidence comes free and no normal is normalised. A miss and a total reflection
-are
-NaN and stay NaN: `clacad.trace` turns them into fates. After Welford, Aberrations of Optical Systems, ch. 4.
+are NaN and stay NaN: `clacad.trace` turns them into fates. After Welford, Aberrations of Optical Systems, ch.
+4.
 
 Terms of fourth, sixth and eighth order that an even polynomial adds to its conic, and their slopes.
 
@@ -280,6 +279,16 @@ def as_quadric(biconic: Biconic) -> Quadric:
             f"a biconic is a quadric only if (1 + K_x) cx = (1 + K_y) cy: {of_x!r} is not {of_y!r}"
         )
     return Quadric(biconic.curvature_x, biconic.curvature_y, kappa, biconic.side)
+
+
+def simplest(surface: Surface) -> Surface:
+    """The quadric with the same points, if one exists, as its rays need no iteration; else the surface."""
+    if not isinstance(surface, Biconic):
+        return surface
+    try:
+        return as_quadric(surface)
+    except ValueError:
+        return surface
 
 
 def sag(surface: Surface, x: ArrayLike, y: ArrayLike) -> Floats:

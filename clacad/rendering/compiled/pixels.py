@@ -58,11 +58,8 @@ STEP = np.uint64(GOLDEN)
 class Eye(NamedTuple):
     """A pinhole camera and its samples.
 
-    Attributes
-    ----------
-    frame : (4, 3) lengths
-        Position, ahead, right, down, as in `camera.View`.
-    width, height : int, pixels
+    frame : (4, 3) lengths. Position, ahead, right, down, as in `camera.View`.
+    width, height : pixels
     digits : (count, 2) words
         Sample points as 52 binary digits; empty for one sample in the middle of each pixel.
     """
@@ -76,22 +73,14 @@ class Eye(NamedTuple):
 class Pane(NamedTuple):
     """The sheet.
 
-    Attributes
-    ----------
-    kind : int
-        NO_SHEET, LAW or SURFACES.
-    numbers : (21,)
-        LAW: from MATRIX, AXIS and EDGES on matrix (9), axis (3), and edges in z = 0 (4) in scene lengths.
-        SURFACES: low and high corner of the first body (6). At SCALE window lengths in a scene length; at
-        FRONT the height below which objects count as before the sheet.
-    opaque, before : bool
-        Whether nothing is visible outside the sheet; whether an object may be before it.
-    sheet : Packed
-        SURFACES: the sheet that is traced.
-    shining : (256,) bytes
-        Fates of rays that bring light.
-    quick : bool
-        Whether `hole_beside_lens` suits the sheet.
+    kind : NO_SHEET, LAW or SURFACES.
+    numbers : (21,). LAW: from MATRIX, AXIS and EDGES on matrix (9), axis (3), and edges in z = 0 (4) in scene
+        lengths. SURFACES: low and high corner of the first body (6). At SCALE window lengths in a scene
+        length; at FRONT the height below which objects count as before the sheet.
+    opaque, before : Whether nothing is visible outside the sheet; whether an object may be before it.
+    sheet : SURFACES: the sheet that is traced.
+    shining : (256,) bytes. Fates of rays that bring light.
+    quick : Whether `hole_beside_lens` suits the sheet.
     """
 
     kind: int
@@ -109,12 +98,8 @@ MATRIX, AXIS, EDGES, SCALE, FRONT, PANE_NUMBERS = 0, 9, 12, 19, 20, 21
 class Walk(NamedTuple):
     """Working memory of one thread for tracing.
 
-    Attributes
-    ----------
-    s : (SCRATCH, BLOCK), carried : (BLOCK,), chosen : (BLOCK,) ints
-        A block of rays on the straight path.
-    start, way : (1, 3); out : Outcome of one row; scratch : Scratch
-        One ray that is walked.
+    s : (SCRATCH, BLOCK), carried : (BLOCK,), chosen : (BLOCK,) ints. A block of rays on the straight path.
+    start, way : (1, 3); out : Outcome of one row; scratch : Scratch. One ray that is walked.
     """
 
     s: Floats

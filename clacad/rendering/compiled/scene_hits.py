@@ -46,19 +46,13 @@ from clacad.tracing.facets.compiled_hierarchy import nearest
 class Pad(NamedTuple):
     """Scratch of a block of rays.
 
-    Attributes
-    ----------
-    ray : (6, BLOCK)
-        Starts and directions.
+    ray : (6, BLOCK). Starts and directions.
     best : (BLOCK,), which : (BLOCK,) ints
         Distance of the hit, or the given limit before any; its primitive, −1 for none.
-    colour : (3, BLOCK)
-        Light found.
+    colour : (3, BLOCK). Light found.
     near : (BLOCK,)
-    some : (4, BLOCK) ints
-        Rays near an object; what each of them met, its triangle; waiting nodes of a tree.
-    part : (16, BLOCK)
-        Starts and directions of those rays, both in a primitive's frame, distances, scratch.
+    some : (4, BLOCK) ints. Rays near an object; what each of them met, its triangle; waiting nodes of a tree.
+    part : (16, BLOCK). Starts and directions of those rays, both in a primitive's frame, distances, scratch.
     """
 
     ray: Floats
@@ -96,13 +90,9 @@ def look_all(
 ) -> None:
     """Write the light of each ray, whether it met an object and its distance; see `scene_hits.look`.
 
-    Parameters
-    ----------
     origin, direction : (n, 3)
-    limit : (n,)
-        Limit of the search, in lengths of the given directions.
-    light : (n, 3), met : (n,), distance : (n,)
-        Result; the distance of a ray that met nothing is its limit.
+    limit : (n,). Limit of the search, in lengths of the given directions.
+    light : (n, 3), met : (n,), distance : (n,). Result; the distance of a ray that met nothing is its limit.
     """
     pad = new_pad()
     for start in range(0, len(origin), BLOCK):
@@ -173,10 +163,7 @@ def _floor(
     if towards == 0:  # a block of sky, as half of most views is
         return
     up = world[TOWARDS_LIGHT + 1]
-    above, below = (
-        world[AMBIENT] + world[KEY] * max(0.0, up),
-        world[AMBIENT] + world[KEY] * max(0.0, -up),
-    )
+    above, below = (world[AMBIENT] + world[KEY] * max(0.0, up), world[AMBIENT] + world[KEY] * max(0.0, -up))
     per_side, square = 1.0 / side, reach * reach
     odd0, odd1, odd2 = prim[k, COLOUR], prim[k, COLOUR + 1], prim[k, COLOUR + 2]
     even0, even1, even2 = prim[k, COLOUR + 3], prim[k, COLOUR + 4], prim[k, COLOUR + 5]

@@ -32,19 +32,13 @@ BLOCK = 256
 class Tables(NamedTuple):
     """A `SceneArrays` in plain arrays: compiled code passes few arrays quickly and many slowly.
 
-    Attributes
-    ----------
-    world : (14,)
-        Ambient, key, direction to the light (3), zenith (3), horizon (3), ground (3).
-    cluster : (m, 8)
-        First primitive and one past the last, centre and half extents of a box round them (infinite round a
-        floor).
+    world : (14,). Ambient, key, direction to the light (3), zenith (3), horizon (3), ground (3).
+    cluster : (m, 8). First primitive and one past the last, centre and half extents of a box round them
+        (infinite round a floor).
     prim : (n, 35)
         A primitive a row, columns as named above; BOUND: low and high corner of a box round it, scene frame.
-    store : (k,)
-        Corners of prisms and pixels; indices into it are absolute.
-    trees : Hierarchy
-        Meshes; the piece of a primitive is its number there.
+    store : (k,). Corners of prisms and pixels; indices into it are absolute.
+    trees : Meshes; the piece of a primitive is its number there.
     """
 
     world: Floats
@@ -90,10 +84,7 @@ def _round(stage: SceneArrays, boxes: Floats) -> Floats:
         corners = boxes[first:end]
         low, high = corners[:, 0].min(axis=0, initial=np.inf), corners[:, 1].max(axis=0, initial=-np.inf)
         if np.isfinite(corners).all():
-            found[row, :3], found[row, 3:] = (
-                0.5 * (low + high),
-                0.5 * (high - low),
-            )
+            found[row, :3], found[row, 3:] = (0.5 * (low + high), 0.5 * (high - low))
         else:
             found[row, :3], found[row, 3:] = 0.0, np.inf
     return found

@@ -14,6 +14,7 @@ import numpy as np
 
 from clacad.base.types import Ints
 from clacad.optics.aperture import equivalent_widths, first_zeros
+from clacad.sheet.cell_heights import highest_step
 from clacad.sheet.feasibility.as_rows import FactRow, describe
 from clacad.sheet.feasibility.derived_numbers import (
     DEFAULT_WAVELENGTH,
@@ -41,7 +42,6 @@ from clacad.sheet.feasibility.lenses import (
     whole_body_range,
 )
 from clacad.sheet.like_cell import cell_of_array, like_cell
-from clacad.sheet.own_steps import highest_step
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.vignetting import (
     aperture_slope,

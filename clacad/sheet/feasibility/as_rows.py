@@ -33,8 +33,7 @@ class Zone:
     """Area where a superlens acts as one lens: normal light stays with its partner over `width`, (2,)
     lengths.
 
-    moire : (2,) lengths
-        Period of the pattern that both arrays make.
+    moire : (2,) lengths. Period of the pattern that both arrays make.
     """
 
     width: Pair2
@@ -43,9 +42,9 @@ class Zone:
 
 
 def zone_of(window: Window) -> Zone | None:
-    """Zone of a sheet whose array 2 has its own pitch, along the cells' axes; None for other sheets."""
+    """Zone of a sheet whose law is the pitch of its array 2, along the cells' axes; None for other sheets."""
     second = window.thin.second
-    if not second.own or window.cell_laws is None:
+    if not second.own or window.cell_laws is None or window.thin.change is not None:
         return None
     own = window.lattice.pitch if second.pitch is None else second.pitch
     (f1x, f1y), (f2x, f2y) = window.thin.focal_length

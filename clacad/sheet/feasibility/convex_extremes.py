@@ -202,12 +202,9 @@ def groove(window: Window, radius: float) -> Named:
     grooves.
 
     Where two faces meet in an inner corner of turning angle τ, the nose touches them r·tan(τ/2) before it.
-    Between
-    two spheres of radius R without a seam the share is r/R in the middle of a border and r/√(R² − p²/4) at
-    its
-    ends, where the slopes across it are steepest. A concave lens has no groove at its border, but a nose
-    larger than
-    its radius does not fit in at all: 1.
+    Between two spheres of radius R without a seam the share is r/R in the middle of a border and r/√(R² −
+    p²/4) at its ends, where the slopes across it are steepest. A concave lens has no groove at its border,
+    but a nose larger than its radius does not fit in at all: 1.
     """
     return max(
         (_rounded(window, name, face, radius) for name, face in _lens_faces(window)), key=lambda n: n.value
@@ -223,8 +220,7 @@ def steepest(facts: Feasibility) -> Named:
 def draft(window: Window, facts: Feasibility, negligible: float) -> Named:
     """Least angle of any surface that must release to the sheet's normal (radians); 0 for a vertical wall.
 
-    negligible : float, length
-        Walls lower than this do not count.
+    negligible : length. Walls lower than this do not count.
     """
     step = wall(window, facts)
     if step.value > negligible:
@@ -278,7 +274,7 @@ def _edge_of_seam(window: Window, face: Face) -> float:
     tile = optical_tile(window)
     rim = np.concatenate([border(tile, k, 65) for k in range(len(tile))])
     z, _ = lens_height_and_normal(face, *rim.T)
-    proud = face.side * (face.land - z)
+    proud = face.land_side * (face.land - z)
     return float(np.nanmax(np.where(proud > 0.0, proud, 0.0)))
 
 

@@ -46,19 +46,15 @@ for a beam that fills its cell.
 class EyeAdvice:
     """Recommended pitches for one position of the eye and one of the object.
 
-    viewer, object : float, metres
+    viewer, object : metres
         Distance from the sheet to the eye before array 1, and to the object behind array 2.
     sharpest : (x, y), metres
         Pitch of least blur along each lens axis; infinite for η = 1, where no cell is out of focus.
-    blur : (x, y), radians
-        Width at that pitch that contains half of the light, at the eye; infinite where the image lies in the
-        eye.
-    invisible : float, metres
-        Pitch that subtends one minute of arc.
-    fine : (x, y), metres
-        Pitch whose diffraction is one minute of arc.
-    lost : (x, y)
-        Greatest share of the light that diffraction may move to cells other than the partner.
+    blur : (x, y), radians. Width at that pitch that contains half of the light, at the eye; infinite where
+        the image lies in the eye.
+    invisible : metres. Pitch that subtends one minute of arc.
+    fine : (x, y), metres. Pitch whose diffraction is one minute of arc.
+    lost : (x, y). Greatest share of the light that diffraction may move to cells other than the partner.
     """
 
     viewer: float
@@ -84,12 +80,8 @@ def pitch_of_more_blurred(sharpest: Sequence[float], blur: Sequence[float]) -> f
 def sharpest_pitch(eta: float, distance: float, wavelength: float) -> float:
     """Pitch of least blur: √(2λz/|η(1 − η)|)·max(1, |η|), metres.
 
-    Parameters
-    ----------
-    eta : float
-    distance : float, metres
-        Distance z from the sheet to the object behind it.
-    wavelength : float, metres
+    distance : metres. Distance z from the sheet to the object behind it.
+    wavelength : metres
     """
     defocus = abs(eta * (1.0 - eta))
     return sqrt(2.0 * wavelength * distance / defocus) * max(1.0, abs(eta)) if defocus > 0.0 else inf

@@ -61,7 +61,7 @@ def lens_margin(window: Window, array: int, body: Body | None = None) -> Heights
             if face.array == array and z is not None:
                 parts.append(np.where(np.isnan(z), np.nan, np.inf))
                 if face.land is not None:
-                    parts.append(face.side * (face.land - z))
+                    parts.append(face.land_side * (face.land - z))
         stack = np.stack(parts)
         return np.where(np.isnan(stack).any(axis=0), np.nan, stack.min(axis=0))
 

@@ -18,7 +18,9 @@ from clacad.base.types import Floats
 from clacad.sheet.edge_columns import CX, CY, RADIUS, SENSE, X0, X1, Y0, Y1
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.cells import kept, locate, relocate, to_array
+from clacad.tracing.compiled.face import height, lens_roots
 from clacad.tracing.compiled.packing import OwnCells, Packed
+from clacad.tracing.compiled.records import Ray
 
 Place = tuple[float, float, float, float]
 
@@ -43,22 +45,9 @@ def row_of(own: OwnCells | None, array: int) -> int:
     return array
 
 
-@inlined
-def apex(sheet: Packed, f: int, i: float, j: float) -> tuple[float, float]:
-    """Offset of the lens of a cell from the face's vertex; see `VertexChange.at`."""
-    return _apex(sheet, sheet.own, f, i, j)
-
-
 @exact
-def _apex(sheet: Packed, own: OwnCells | None, f: int, i: float, j: float) -> tuple[float, float]:
-    if own is None:
-        return 0.0, 0.0
-    return own_apex(sheet, own, f, i, j)
-
-
-@exact
-def own_apex(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> tuple[float, float]:
-    """Offset of the lens of a cell from the face's vertex on a non-uniform sheet."""
+def own_offset(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> tuple[float, float]:
+    """Offset of the lens of a cell from the face's vertex on a non-uniform sheet; see `VertexChange.at`."""
     if own.change[f, slot.CHANGES] == 0.0:
         return 0.0, 0.0
     ax, ay = times_gradient(gradient_of(own, f), centre_of(grid_of(sheet.lattice), i, j))
@@ -67,6 +56,21 @@ def own_apex(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> tuple[
         tx, ty = tabled(sheet, own, which, i, j)
         ax, ay = ax + tx, ay + ty
     return ax, ay
+
+
+@exact
+def own_size(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> float:
+    """Scale factor of the lens of a cell; 1 for cells that are not kept."""
+    which = int(own.change[f, slot.SIZES])
+    if which < 0 or not kept(sheet.lattice, sheet.rows, i, j):
+        return 1.0
+    return float(own.size[which, place_in_row(sheet.lattice, i, j), int(j)])
+
+
+@inlined
+def place_in_row(lat: Floats, i: float, j: float) -> int:
+    """First index of a kept cell in a table."""
+    return int(i) + int(j) // 2 if lat[slot.HEXAGONAL] != 0.0 else int(i)
 
 
 @inlined
@@ -110,23 +114,67 @@ def tabled(sheet: Packed, own: OwnCells, which: int, i: float, j: float) -> tupl
     """Tabulated part of the offset of a lens; 0 for cells that are not kept."""
     if not kept(sheet.lattice, sheet.rows, i, j):
         return 0.0, 0.0
-    place = int(i) + int(j) // 2 if sheet.lattice[slot.HEXAGONAL] != 0.0 else int(i)
+    place = place_in_row(sheet.lattice, i, j)
     return own.table[which, place, int(j), 0], own.table[which, place, int(j), 1]
 
 
 @inlined
-def vertex(sheet: Packed, f: int, i: float, j: float) -> tuple[float, float]:
-    """Position of the lens of a cell relative to the cell's centre."""
-    return _vertex(sheet, sheet.own, f, i, j)
+def lens_at(sheet: Packed, f: int, i: float, j: float) -> Place:
+    """Vertex of the lens of a cell, from the cell's centre and the body's level, and its scale factor."""
+    return _lens_at(sheet, sheet.own, f, i, j)
 
 
 @inlined
-def _vertex(sheet: Packed, own: OwnCells | None, f: int, i: float, j: float) -> tuple[float, float]:
-    vx, vy = sheet.faces[f, slot.VX], sheet.faces[f, slot.VY]
+def _lens_at(sheet: Packed, own: OwnCells | None, f: int, i: float, j: float) -> Place:
+    vx, vy, vz = sheet.faces[f, slot.VX], sheet.faces[f, slot.VY], sheet.faces[f, slot.VZ]
     if own is None:
-        return vx, vy
-    ax, ay = own_apex(sheet, own, f, i, j)
-    return vx + ax, vy + ay
+        return vx, vy, vz, 1.0
+    return _own_lens_at(sheet, own, f, i, j)
+
+
+@exact
+def _own_lens_at(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> Place:
+    vx, vy, vz = sheet.faces[f, slot.VX], sheet.faces[f, slot.VY], sheet.faces[f, slot.VZ]
+    ax, ay = own_offset(sheet, own, f, i, j)
+    rise = ax * own.change[f, slot.RISE_X] + ay * own.change[f, slot.RISE_Y]
+    return vx + ax, vy + ay, vz + rise, own_size(sheet, own, f, i, j)
+
+
+@inlined
+def lens_height(sheet: Packed, f: int, cell: tuple[float, float], x: float, y: float) -> float:
+    """Height of the lens of a cell over the body's level at a point of the cell frame; NaN for none."""
+    return _lens_height(sheet, sheet.own, f, cell, x, y)
+
+
+@inlined
+def _lens_height(
+    sheet: Packed, own: OwnCells | None, f: int, cell: tuple[float, float], x: float, y: float
+) -> float:
+    if own is None:
+        return height(sheet.faces, f, x, y)
+    vx, vy, vz = sheet.faces[f, slot.VX], sheet.faces[f, slot.VY], sheet.faces[f, slot.VZ]
+    px, py, pz, size = _own_lens_at(sheet, own, f, cell[0], cell[1])
+    return float(pz + size * (height(sheet.faces, f, vx + (x - px) / size, vy + (y - py) / size) - vz))
+
+
+@inlined
+def lens_crossings(sheet: Packed, f: int, cell: tuple[float, float], ray: Ray) -> tuple[float, float]:
+    """Both distances at which a ray of the cell frame crosses all of a lens's surface (`lens_roots`)."""
+    return _lens_crossings(sheet, sheet.own, f, cell, ray)
+
+
+@inlined
+def _lens_crossings(
+    sheet: Packed, own: OwnCells | None, f: int, cell: tuple[float, float], ray: Ray
+) -> tuple[float, float]:
+    x, y, z, L, M, N = ray
+    if own is None:
+        return lens_roots(sheet.faces, f, x, y, z, L, M, N)
+    vx, vy, vz = sheet.faces[f, slot.VX], sheet.faces[f, slot.VY], sheet.faces[f, slot.VZ]
+    px, py, pz, size = _own_lens_at(sheet, own, f, cell[0], cell[1])
+    x, y, z = vx + (x - px) / size, vy + (y - py) / size, vz + (z - pz) / size
+    one, two = lens_roots(sheet.faces, f, x, y, z, L, M, N)
+    return size * one, size * two
 
 
 @inlined

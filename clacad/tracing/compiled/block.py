@@ -21,10 +21,11 @@ from clacad.tracing.compiled.records import Outcome
 ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)
 
 X, Y, Z, DX, DY, DZ, ROOT, PATH, GOOD, CI, CJ, CI0, CJ0, LEFT_X, LEFT_Y, GX, GY, GZ = range(18)
-SHARE, OVER, DEPTH, STEEP, HALF, AX, AY, SCRATCH = range(18, 26)
+SHARE, OVER, DEPTH, STEEP, HALF, AX, AY, SIZE, SCRATCH = range(18, 27)
 """Transmitted light is SHARE/OVER; DEPTH sums attenuation times length, STEEP is attenuation/N; HALF numbers
 half bins.
-(AX, AY): offset of the lens of a ray's cell from the face's vertex, on non-uniform sheets.
+(AX, AY), SIZE: offset of the lens of a ray's cell from the face's vertex, and its scale factor, on
+non-uniform sheets.
 """
 
 RANGE = ROOT

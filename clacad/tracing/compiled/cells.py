@@ -294,16 +294,20 @@ def _crossing(
 
 
 @exact
-def reach(lat: Floats, x: float, y: float, u: float, v: float, i: float, j: float) -> float:
-    """How far along the gap a ray gets before the honeycomb; see `clacad.tracing.reference.launch`."""
-    u, v = less_steps(lat, u, v, -i, -j)
+def reach(lat: Floats, behind: Floats, x: float, y: float, u: float, v: float, i: float, j: float) -> float:
+    """How far along the gap between the cells of two rows a ray gets before the honeycomb; see
+    `clacad.tracing.reference.launch`.
+    """
+    u, v = less_steps(behind, u, v, -i, -j)
     first = inf
     for n in range(int(lat[slot.BORDERS])):
         ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
         here, there = ux * x + uy * y, ux * u + uy * v
         free = lat[slot.HALF + n] - 0.5 * lat[slot.BAFFLE]
+        last = behind[slot.HALF + n] - 0.5 * lat[slot.BAFFLE]
         if abs(here) > free:
             first = 0.0
-        elif abs(there) > free:
-            first = min(first, (copysign(free, there - here) - here) / (there - here))
+        elif abs(there) > last:
+            grows = (last - free) * copysign(1.0, there)
+            first = min(first, (copysign(free, there) - here) / (there - here - grows))
     return 1.0 if (i != 0.0 or j != 0.0) and not isfinite(first) else first

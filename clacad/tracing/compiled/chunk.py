@@ -113,8 +113,7 @@ def straight_chunk_single(
     """Trace the rays `chosen` straight through in single precision, starting from the launch plane.
 
     rounded : the sheet's numbers as float32
-    left : (n,)
-        Receives the rows whose straight trace does not hold; their count is returned.
+    left : (n,). Receives the rows whose straight trace does not hold; their count is returned.
     """
     wide, count = np.zeros((SCRATCH, BLOCK)), 0
     carried: Singles = np.empty(BLOCK, dtype=np.float32)

@@ -7,9 +7,15 @@ from math import copysign, inf, isnan, nan, sqrt
 from clacad.base.compiled import exact, inlined
 from clacad.base.types import Floats, Ints
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.array_cells import apex, in_plate, into_array, next_edge, row_of
+from clacad.tracing.compiled.array_cells import (
+    in_plate,
+    into_array,
+    lens_crossings,
+    lens_height,
+    next_edge,
+    row_of,
+)
 from clacad.tracing.compiled.cells import in_zone, kept, less_steps, sheet_xy
-from clacad.tracing.compiled.face import height, lens_roots
 from clacad.tracing.compiled.packing import Packed
 from clacad.tracing.compiled.records import (
     BASE,
@@ -60,18 +66,18 @@ def _lens_over(sheet: Packed, row: int, work: Floats, x: float, y: float) -> flo
     u, v = work[START + 2 * at] + x, work[START + 2 * at + 1] + y
     if lat[slot.MARGIN] > 0.0 and not in_zone(sheet.lattices[row_of(sheet.own, at)], u, v, lat[slot.MARGIN]):
         return nan
-    ax, ay = apex(sheet, row, work[CELL + 2 * at], work[CELL + 2 * at + 1])
-    return height(faces, row, u - ax, v - ay)
+    return lens_height(sheet, row, (work[CELL + 2 * at], work[CELL + 2 * at + 1]), u, v)
 
 
 @exact
-def _proud(lens: float, land: float, front: bool) -> float:
+def _proud(lens: float, face: Floats) -> float:
     """The outermost of lens and land; the one that exists, if only one does."""
+    land = float(face[slot.LAND])
     if isnan(lens):
         return land
     if isnan(land):
         return lens
-    return min(lens, land) if front else max(lens, land)
+    return min(lens, land) if face[slot.LAND_SIDE] > 0.0 else max(lens, land)
 
 
 @exact
@@ -108,9 +114,7 @@ def _solid(sheet: Packed, b: int, ray: Ray, t: float, work: Floats) -> bool:
     below, above = _lens_over(sheet, 2 * b, work, x, y), _lens_over(sheet, 2 * b + 1, work, x, y)
     if bodies[b, slot.COLUMNAR] != 0.0 and not below <= above:
         return bool(faces[2 * b, slot.LAND] <= z <= faces[2 * b + 1, slot.LAND])
-    return (
-        _proud(below, faces[2 * b, slot.LAND], True) <= z <= _proud(above, faces[2 * b + 1, slot.LAND], False)
-    )
+    return bool(_proud(below, faces[2 * b]) <= z <= _proud(above, faces[2 * b + 1]))
 
 
 @exact
@@ -127,9 +131,8 @@ def _divide(sheet: Packed, b: int, ray: Ray, work: Floats, causes: Ints) -> int:
             count += 1
         else:
             at = int(faces[row, slot.ARRAY])
-            ax, ay = apex(sheet, row, work[CELL + 2 * at], work[CELL + 2 * at + 1])
-            u, v = work[START + 2 * at] - ax, work[START + 2 * at + 1] - ay
-            one, two = lens_roots(faces, row, u, v, z, L, M, N)
+            own = Ray(work[START + 2 * at], work[START + 2 * at + 1], z, L, M, N)
+            one, two = lens_crossings(sheet, row, (work[CELL + 2 * at], work[CELL + 2 * at + 1]), own)
             work[count], causes[count] = one, lens
             work[count + 1], causes[count + 1] = two, lens
             count += 2

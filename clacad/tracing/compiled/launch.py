@@ -10,22 +10,7 @@ from clacad.base.compiled import exact, least, multiply_add, pair_product, pair_
 from clacad.base.types import Floats
 from clacad.optics.sequence import UNIT
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.block import (
-    CI,
-    CJ,
-    DX,
-    DY,
-    DZ,
-    GOOD,
-    GX,
-    GY,
-    PATH,
-    X,
-    Y,
-    Z,
-    lane,
-    lanes,
-)
+from clacad.tracing.compiled.block import CI, CJ, DX, DY, DZ, GOOD, GX, GY, PATH, X, Y, Z, lane, lanes
 from clacad.tracing.compiled.cells import hexagon_steps, locate
 from clacad.tracing.compiled.column import box_span
 from clacad.tracing.compiled.packing import Packed

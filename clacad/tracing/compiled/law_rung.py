@@ -14,13 +14,14 @@ from math import inf, sqrt
 
 import numpy as np
 
-from clacad.base.compiled import exact, least, less_product, owning
+from clacad.base.compiled import exact, least, less_product, owning, pair_sum, two_product
 from clacad.base.types import Floats, Rows
 from clacad.light.compiled_sums import DELTA_X, DELTA_Y, ETA_X, ETA_Y, R0
-from clacad.light.sums import ordinary
+from clacad.light.sums import LARGE, ordinary
 from clacad.optics.law import law_numbers
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.array_cells import centre_of, gradient_of, grid_of, own_size, row_of, tabled
 from clacad.tracing.compiled.block import (
     BLOCK,
     CI,
@@ -53,11 +54,16 @@ from clacad.tracing.compiled.block import (
 )
 from clacad.tracing.compiled.cells import in_zone, kept
 from clacad.tracing.compiled.launch import launch_block
-from clacad.tracing.compiled.packing import Packed, pack_array_1
-from clacad.tracing.compiled.records import Outcome
+from clacad.tracing.compiled.packing import OwnCells, Packed, own_laws, pack_array_1
+from clacad.tracing.compiled.records import MOST_ARRAYS, Outcome
 from clacad.tracing.compiled.threads import in_arrays, over_threads
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
+
+Four = tuple[float, float, float, float]
+Rows3 = tuple[int, int, int]
+BEFORE, BEHIND = (DX, DY, DZ), (LEFT_X, LEFT_Y, ROOT)
+"""Rows of a block with the directions before and behind the sheet."""
 
 NEAR = 2.0**-30
 """Share of a cell, or cosine, where nothing is decided: a million times the rounding of either path."""
@@ -97,16 +103,17 @@ def near(lat: Floats) -> float:
 
 
 @exact
-def arrive_well_inside(sheet: Packed, s: Floats, m: int) -> None:
-    """Require that rays on a reference plane lie inside a kept cell, and not near its borders."""
-    arrive(sheet.lattice, sheet.rows, s, m, 0.0)
-    hold_in_zone(sheet.lattice, s, m, near(sheet.lattice), 0.0, 0.0)
+def arrive_well_inside(sheet: Packed, array: int, s: Floats, m: int) -> None:
+    """Require that rays on a reference plane lie inside a kept cell of an array, and not near its borders."""
+    lat = sheet.lattices[row_of(sheet.own, array)]
+    arrive(lat, sheet.rows, s, m, 0.0)
+    hold_in_zone(lat, s, m, near(lat), 0.0, 0.0)
 
 
 @exact
-def surely_beside(sheet: Packed, s: Floats, k: int) -> bool:
-    """Whether ray k is over a cell that is not kept, and far from its borders."""
-    lat, x, y = sheet.lattice, s[X, k], s[Y, k]
+def surely_beside(sheet: Packed, array: int, s: Floats, k: int) -> bool:
+    """Whether ray k is over a cell of an array that is not kept, and far from its borders."""
+    lat, x, y = sheet.lattices[row_of(sheet.own, array)], s[X, k], s[Y, k]
     inside = in_zone(lat, x, y, CLEAR * lat[slot.REACH])
     return inside and not kept(lat, sheet.rows, s[CI, k], s[CJ, k])
 
@@ -117,7 +124,7 @@ def surely_unmet(sheet: Packed, s: Floats, k: int, sane: float, carried: float) 
     reach = sheet.lattice[slot.REACH]
     if not (sane > 0.0 and abs(carried) < FAR * reach and abs(s[X, k]) + abs(s[Y, k]) < inf):
         return False
-    return carried < -CLEAR * reach or surely_beside(sheet, s, k)
+    return carried < -CLEAR * reach or surely_beside(sheet, 0, s, k)
 
 
 @exact
@@ -136,15 +143,25 @@ SANE = STEEP
 
 def trace_law_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) -> Rows:
     """Write the rows of rays (n) that clearly cross a kept cell in z = 0; return the other rows (k,)."""
-    law = law_numbers(layout.window.law)
-    if not ordinary(law):
+    law, sheet = law_numbers(layout.window.law), sheet_plane(layout)
+    if not ordinary(law) or (sheet.own is not None and not _ordinary(sheet.own)):
         return np.arange(len(rays))
-    return rows_left(law_chunk, _sheet_plane(layout), law, rays, ledger, threads)
+    return rows_left(law_chunk, sheet, law, rays, ledger, threads)
 
 
-def _sheet_plane(layout: Layout) -> Packed:
-    """The sheet plane z = 0 as a body of no thickness with one face."""
-    return pack_array_1(layout)._replace(
+def _ordinary(own: OwnCells) -> bool:
+    """Whether compiled code can hold the numbers of all laws; see `light.sums.ordinary`."""
+    largest = max(np.abs(one).max(initial=0.0) for one in own)
+    return bool(largest < LARGE and np.abs(own.size).min(initial=1.0) > 1.0 / LARGE)
+
+
+def sheet_plane(layout: Layout) -> Packed:
+    """The sheet plane z = 0 as a body of no thickness with one face; `own` has laws that differ."""
+    laws = layout.window.cell_laws
+    sheet = pack_array_1(layout)
+    if laws is not None:
+        sheet = sheet._replace(lattices=np.tile(sheet.lattice, (MOST_ARRAYS, 1)), own=own_laws(laws))
+    return sheet._replace(
         faces=np.zeros((1, slot.FACE_NUMBERS)), bodies=np.zeros((1, slot.BODY_NUMBERS)), media=np.ones(3)
     )
 
@@ -156,18 +173,23 @@ def law_chunk(
     """Trace the rays `chosen` of `start` and `ray` (n, 3) and write their rows.
 
     law : see `law_numbers`
-    left : (len(chosen),)
-        Receives the rows that are not decided here; their count is returned.
+    left : (len(chosen),). Receives the rows that are not decided here; their count is returned.
     """
     s, count = np.zeros((SCRATCH, BLOCK)), 0
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)
         load_block(block, start, ray, s)
-        _refract(law, s, m)
+        if sheet.own is None:
+            _refract(None, sheet, law, s, m, BEFORE)
+        else:
+            for before, behind in zip(BEFORE, BEHIND):
+                copy_row(lane(s, before), lane(s, behind), m)
         launch_block(sheet.lattice, sheet.bodies[0], s, m)
         copy_row(lane(s, GOOD), lane(s, SANE), m)
-        arrive_well_inside(sheet, s, m)
+        arrive_well_inside(sheet, 0, s, m)
+        if sheet.own is not None:
+            _refract(sheet.own, sheet, law, s, m, BEHIND)
         _cross(sheet, s, m)
         store_block(sheet, s, block, 0, out)
         miss(s, block, start, ray, out)
@@ -176,14 +198,23 @@ def law_chunk(
 
 
 @exact
-def _refract(law: Floats, s: Floats, m: int) -> None:
-    """Put the directions behind the sheet into LEFT_X, LEFT_Y, ROOT, and their margin into GZ."""
-    dx, dy, dz, out_x, out_y, out_z, sure = lanes(s, (DX, DY, DZ, LEFT_X, LEFT_Y, ROOT, GZ))
+def _refract(own: OwnCells | None, sheet: Packed, law: Floats, s: Floats, m: int, given: Rows3) -> None:
+    """Put the directions behind the sheet into LEFT_X, LEFT_Y, ROOT, and their margin into GZ.
+
+    own : None, or the laws of cells, for rays in kept cells only
+    given : rows of the directions before the sheet
+    """
+    dx, dy, dz = lanes(s, given)
+    out_x, out_y, out_z, sure = lanes(s, (LEFT_X, LEFT_Y, ROOT, GZ))
     eta_x, eta_y, delta_x, delta_y = law[ETA_X], law[ETA_Y], law[DELTA_X], law[DELTA_Y]
     a, b, c = law[R0], law[R0 + 1], law[R0 + 2]
     d, e, f = law[R0 + 3], law[R0 + 4], law[R0 + 5]
     g, h, k = law[R0 + 6], law[R0 + 7], law[R0 + 8]
     for i in range(m):
+        if own is not None:
+            if not s[GOOD, i] > 0.0:
+                continue
+            delta_x, delta_y, eta_x, eta_y = _law_of_cell(own, sheet, law, s[CI, i], s[CJ, i])
         u, v, w = dx[i], dy[i], dz[i]
         x, y, z = (a * u + d * v) + g * w, (b * u + e * v) + h * w, (c * u + f * v) + k * w
         sure[i] = z - NEAR * (abs(u) + abs(v) + abs(w))
@@ -191,6 +222,30 @@ def _refract(law: Floats, s: Floats, m: int) -> None:
         u, v, w = (a * x + b * y) + c * z, (d * x + e * y) + f * z, (g * x + h * y) + k * z
         length = sqrt(u * u + v * v + w * w)
         out_x[i], out_y[i], out_z[i] = u / length, v / length, w / length
+
+
+@exact
+def _law_of_cell(own: OwnCells, sheet: Packed, law: Floats, i: float, j: float) -> Four:
+    """δ_x, δ_y, η_x, η_y of a kept cell; see `CellLaws`."""
+    eta_x, eta_y = law[ETA_X], law[ETA_Y]
+    if own.change[0, slot.SIZES] >= 0.0:
+        eta_x = eta_y = own_size(sheet, own, 0, i, j)
+    if own.change[0, slot.TABLE] >= 0.0:
+        delta_x, delta_y = tabled(sheet, own, 0, i, j)
+        return delta_x, delta_y, eta_x, eta_y
+    x, y = centre_of(grid_of(sheet.lattice), i, j)
+    xx, xy, yx, yy = gradient_of(own, 0)
+    return _linear(xx, x, xy, y, law[DELTA_X]), _linear(yx, x, yy, y, law[DELTA_Y]), eta_x, eta_y
+
+
+@exact
+def _linear(a: float, x: float, b: float, y: float, start: float) -> float:
+    """Value of a x + b y + start, rounded once (`VaryingLaw.deltas`)."""
+    h, low = two_product(a, x)
+    g, rest = two_product(b, y)
+    h, low = pair_sum(h, low, g, rest)
+    h, low = pair_sum(h, low, start, 0.0)
+    return h + low
 
 
 @exact

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.base.compiled import exact, least, multiply_add, pair_sum, two_sum
+from clacad.base.compiled import exact, inlined, least, multiply_add, pair_sum, two_sum
 from clacad.base.types import Floats
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.array_cells import (
     centre_of,
     gradient_of,
     grid_of,
-    own_apex,
+    lens_height,
+    own_size,
+    place_in_row,
     steps_to,
     times_gradient,
 )
@@ -29,6 +31,7 @@ from clacad.tracing.compiled.block import (
     DZ,
     GOOD,
     PATH,
+    SIZE,
     XL,
     YL,
     X,
@@ -38,7 +41,6 @@ from clacad.tracing.compiled.block import (
     lanes,
 )
 from clacad.tracing.compiled.cells import hexagon_steps
-from clacad.tracing.compiled.face import height
 from clacad.tracing.compiled.packing import OwnCells, Packed
 from clacad.tracing.compiled.records import Vector
 
@@ -131,8 +133,11 @@ def _into_hexagons(lat: Floats, s: Floats, m: int) -> None:
 
 
 @exact
-def to_own_lens(sheet: Packed, own: OwnCells, f: int, s: Floats, m: int) -> None:
-    """Transform positions to the lens of each ray's own cell, where lens offsets vary from cell to cell."""
+def to_own_lens(sheet: Packed, own: OwnCells, f: int, s: Floats, m: int, offset: Vector) -> None:
+    """Transform rays to the lens of each ray's own cell, where lenses vary from cell to cell.
+
+    Positions plus the offset are relative to the face's vertex; lengths are in units of the lens's size.
+    """
     if own.change[f, slot.CHANGES] == 0.0:
         return
     x, y, ax, ay, ci, cj = lanes(s, (X, Y, AX, AY, CI, CJ))
@@ -142,44 +147,77 @@ def to_own_lens(sheet: Packed, own: OwnCells, f: int, s: Floats, m: int) -> None
     which = int(own.change[f, slot.TABLE])
     if which >= 0:
         _add_tabled(sheet, own.table[which], s, m)
+    if _level(own, f):
+        for i in range(m):
+            x[i], y[i] = x[i] - ax[i], y[i] - ay[i]
+        return
+    _look_up_sizes(sheet, own, f, s, m)
+    z, path, size = lanes(s, (Z, PATH, SIZE))
+    rise_x, rise_y = own.change[f, slot.RISE_X], own.change[f, slot.RISE_Y]
+    ox, oy, oz = offset
     for i in range(m):
-        x[i], y[i] = x[i] - ax[i], y[i] - ay[i]
+        rise = ax[i] * rise_x + ay[i] * rise_y
+        x[i] = (x[i] + ox - ax[i]) / size[i] - ox
+        y[i] = (y[i] + oy - ay[i]) / size[i] - oy
+        z[i] = (z[i] + oz - rise) / size[i] - oz
+        path[i] /= size[i]
+
+
+@inlined
+def _level(own: OwnCells, f: int) -> bool:
+    """Whether the lenses of a face have one height and one size."""
+    change = own.change
+    level = change[f, slot.RISE_X] == 0.0 and change[f, slot.RISE_Y] == 0.0
+    return bool(level and change[f, slot.SIZES] < 0.0)
+
+
+@exact
+def _look_up_sizes(sheet: Packed, own: OwnCells, f: int, s: Floats, m: int) -> None:
+    """Size of the lens of each ray's cell."""
+    for i in range(m):
+        s[SIZE, i] = own_size(sheet, own, f, s[CI, i], s[CJ, i]) if s[GOOD, i] > 0.0 else 1.0
 
 
 @exact
 def _add_tabled(sheet: Packed, table: Floats, s: Floats, m: int) -> None:
     """Add the tabulated part of the lens offsets; GOOD rays are in kept cells."""
     ax, ay, ci, cj, good = lanes(s, (AX, AY, CI, CJ, GOOD))
-    hexagonal = sheet.lattice[slot.HEXAGONAL] != 0.0
     for i in range(m):
         kept = good[i] > 0.0
-        a, b = int(ci[i]) if kept else 0, int(cj[i]) if kept else 0
-        place = a + b // 2 if hexagonal else a
-        ax[i] += table[place, b, 0]
-        ay[i] += table[place, b, 1]
+        a, b = ci[i] if kept else 0.0, cj[i] if kept else 0.0
+        place = place_in_row(sheet.lattice, a, b)
+        ax[i] += table[place, int(b), 0]
+        ay[i] += table[place, int(b), 1]
 
 
 @exact
-def from_own_lens(own: OwnCells, f: int, s: Floats, m: int) -> None:
+def from_own_lens(own: OwnCells, f: int, s: Floats, m: int, offset: Vector) -> None:
     """Undo `to_own_lens`."""
     if own.change[f, slot.CHANGES] == 0.0:
         return
     x, y, ax, ay = lanes(s, (X, Y, AX, AY))
+    if _level(own, f):
+        for i in range(m):
+            x[i], y[i] = x[i] + ax[i], y[i] + ay[i]
+        return
+    z, path, size = lanes(s, (Z, PATH, SIZE))
+    rise_x, rise_y = own.change[f, slot.RISE_X], own.change[f, slot.RISE_Y]
+    ox, oy, oz = offset
     for i in range(m):
-        x[i], y[i] = x[i] + ax[i], y[i] + ay[i]
+        x[i] = (x[i] + ox) * size[i] + ax[i] - ox
+        y[i] = (y[i] + oy) * size[i] + ay[i] - oy
+        z[i] = (z[i] + oz) * size[i] + (ax[i] * rise_x + ay[i] * rise_y) - oz
+        path[i] *= size[i]
 
 
 @exact
-def own_thick(sheet: Packed, own: OwnCells, f: int, s: Floats, m: int) -> None:
+def own_thick(sheet: Packed, f: int, s: Floats, m: int) -> None:
     """Require that hits on one face lie on the right side of the body's other face; see `straight_path`."""
     faces = sheet.faces
     vx, vy, vz = faces[f, slot.VX], faces[f, slot.VY], faces[f, slot.VZ]
     other, sign = f + 1 - 2 * (f % 2), 1.0 - 2.0 * (f % 2)
     for i in range(m):
         if s[GOOD, i] > 0.0:
-            ax, ay = 0.0, 0.0
-            if own.change[other, slot.CHANGES] != 0.0:
-                ax, ay = own_apex(sheet, own, other, s[CI, i], s[CJ, i])
-            gap = height(faces, other, s[X, i] + vx - ax, s[Y, i] + vy - ay) - (s[Z, i] + vz)
-            if not sign * gap >= 0.0:
+            over = lens_height(sheet, other, (s[CI, i], s[CJ, i]), s[X, i] + vx, s[Y, i] + vy)
+            if not sign * (over - (s[Z, i] + vz)) >= 0.0:
                 s[GOOD, i] = 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from math import sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -9,18 +10,20 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.optics.surface.sag_and_normal import EvenPolynomial, Quadric
+from clacad.sheet.cell_places import VertexChange
 from clacad.sheet.edge_columns import EDGE_NUMBERS
 from clacad.sheet.face_order import media_of
 from clacad.sheet.lattice import runs
 from clacad.tracing.compiled.records import MOST_ARRAYS
 
 if TYPE_CHECKING:
+    from clacad.sheet.cell_places import CellLaws
     from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
 # Columns of a face's row.
 BICONIC, CX, CY, KX, KY, SIDE, VX, VY, VZ, TURNED, R0 = range(11)
 ARRAY, LAND, LOW, HIGH, CLIMB, WHOLE, A40, A22, A04 = range(20, 29)
-A60, A42, A24, A06, A80, A62, A44, A26, A08, BLIND, FACE_NUMBERS = range(29, 40)
+A60, A42, A24, A06, A80, A62, A44, A26, A08, BLIND, LAND_SIDE, FACE_NUMBERS = range(29, 41)
 
 # Values of BICONIC: 0 is a quadric.
 POLYNOMIAL = 2.0
@@ -62,47 +65,65 @@ LATTICE_NUMBERS = BETWEEN + 4 * MOST_ARRAYS * MOST_ARRAYS
 NO_BAFFLE = -1.0
 
 # Columns of a face's row in `OwnCells.change`.
-CHANGES, XX, XY, YX, YY, TABLE = range(6)
+CHANGES, XX, XY, YX, YY, TABLE, RISE_X, RISE_Y, SIZES = range(9)
 
 
 class OwnCells(NamedTuple):
-    """Position of the lens in each cell of a non-uniform sheet.
+    """Position and size of the lens in each cell of a non-uniform sheet; on rung law, the law of each cell.
 
-    Attributes
-    ----------
-    change : (faces, 6)
-        Whether the lens offset varies from cell to cell, the gradient row by row, and the index of the table
-        (−1: none).
+    change : (faces, 9)
+        Whether the lens varies from cell to cell, the gradient of its offset row by row, the index of the
+        table of offsets (−1: none), the rise along z per offset, and the index of the table of sizes.
     table : (tables, n1, n2, 2) lengths
+    size : (tables, n1, n2)
     """
 
     change: Floats
     table: Floats
+    size: Floats
+
+
+def own_cells(changes: Iterable[VertexChange | None]) -> OwnCells:
+    """Pack the change of the lenses of each face."""
+    rows: list[list[float]] = []
+    tables: list[Floats] = []
+    sizes: list[Floats] = []
+    for change in changes:
+        if change is None:
+            rows.append([0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, -1.0])
+            continue
+        places = [-1.0, -1.0]
+        for k, (one, kept) in enumerate(((change.table, tables), (change.size, sizes))):
+            if one is not None:
+                places[k] = float(len(kept))
+                kept.append(one)
+        rows.append([1.0, *np.ravel(change.gradient).tolist(), places[0], *change.slope, places[1]])
+    table = np.array(tables) if tables else np.zeros((0, 1, 1, 2))
+    size = np.array(sizes) if sizes else np.zeros((0, 1, 1))
+    return OwnCells(np.array(rows), np.ascontiguousarray(table), np.ascontiguousarray(size))
+
+
+def own_laws(laws: CellLaws) -> OwnCells:
+    """Pack the laws of cells: δ in place of the lens's offset, η in place of its size."""
+    return own_cells([VertexChange(laws.gradient, laws.table, size=laws.ratios)])
 
 
 class Packed(NamedTuple):
     """A sheet as arrays, in double or single precision.
 
-    Attributes
-    ----------
     faces : (f, FACE_NUMBERS), bodies : (b, BODY_NUMBERS), lattice : (LATTICE_NUMBERS,)
         Columns as named in this module; lengths in design units.
-    rows : (n2, 2 k) ints
-        First kept cell of each row of the lattice and one past its last. In a convex outline a row is one
-        run; a plate may cut it into k, the longest first. Empty for a plain lattice (PLAIN), whose rows are
-        all alike.
-    media : (2 b + 1,)
-        Refractive index before the first face and behind each.
+    rows : (n2, 2 k) ints. First kept cell of each row of the lattice and one past its last. In a convex
+        outline a row is one run; a plate may cut it into k, the longest first. Empty for a plain lattice
+        (PLAIN), whose rows are all alike.
+    media : (2 b + 1,). Refractive index before the first face and behind each.
     losses : (0,) or (b + 1,)
         Where lost light is counted: whether faces reflect (0 or 1), and the attenuation of each body.
-    edges : (e, EDGE_NUMBERS)
-        Of the plate that bounds the bodies, columns as in `clacad.sheet.plate`; empty where the outline is no
-        plate.
-    lattices : (1, LATTICE_NUMBERS) or (MOST_ARRAYS, LATTICE_NUMBERS)
-        One row for all arrays of a uniform sheet. On a non-uniform sheet a row for each, with its pitch,
-        origin and half widths.
-    own : OwnCells or None
-        None on a uniform sheet: kernels are then compiled without the code that reads it. Else `lattice` is
+    edges : (e, EDGE_NUMBERS). Of the plate that bounds the bodies, columns as in `clacad.sheet.plate`; empty
+        where the outline is no plate.
+    lattices : (1, LATTICE_NUMBERS) or (MOST_ARRAYS, LATTICE_NUMBERS). One row for all arrays of a uniform
+        sheet. On a non-uniform sheet a row for each, with its pitch, origin and half widths.
+    own : None on a uniform sheet: kernels are then compiled without the code that reads it. Else `lattice` is
         that of array 1.
     """
 
@@ -120,9 +141,7 @@ class Packed(NamedTuple):
 def pack(layout: Layout) -> Packed:
     """Pack the layout of a uniform sheet, with the media of the design's wavelength; kept with the layout.
 
-    Raises
-    ------
-    CellsDiffer
+    Raises CellsDiffer.
     """
     from clacad.sheet.need_window import need_equal_cells
 
@@ -152,6 +171,39 @@ def pack_array_1(layout: Layout) -> Packed:
     return made
 
 
+def pack_own(layout: Layout, changes: Sequence[VertexChange | None] | None = None) -> Packed:
+    """Pack the layout of a non-uniform sheet, with indices of the design's wavelength.
+
+    changes : change of the lenses of each face; None: those of the layout, kept with it
+    """
+    from clacad.tracing.layout import prepared
+
+    kept: Packed | None = prepared(layout).get("packed_own")
+    if kept is not None and changes is None:
+        return kept
+    sheet = pack_array_1(layout)
+    bodies = sheet.bodies.copy()
+    bodies[:, QUICK] = 0.0  # the short cut of the walk assumes one lens for all cells
+    faces = [face.change for body in layout.bodies for face in (body.front, body.back)]
+    last = len(layout.lattices) - 1  # rows of missing arrays repeat the last array
+    lattices = np.array([_array_row(layout, min(array, last)) for array in range(MOST_ARRAYS)])
+    own = own_cells(faces if changes is None else changes)
+    made = sheet._replace(bodies=bodies, lattices=lattices, own=own)
+    if changes is None:
+        prepared(layout)["packed_own"] = made
+    return made
+
+
+def _array_row(layout: Layout, array: int) -> Floats:
+    """Numbers of one array's own cells, as `lattice_row`."""
+    lattice, row = layout.lattices[array], lattice_row(layout)
+    row[PITCH], row[ROW] = lattice.pitch[0], lattice.row_height
+    row[X0], row[Y0] = lattice.first_centre
+    row[HALF : HALF + len(layout.halves)] = layout.widths[array]
+    row[REACH] = lattice.circumradius
+    return row
+
+
 def in_single(sheet: Packed) -> Packed:
     """The same numbers in single precision."""
     rounded: dict[str, Any] = {
@@ -179,7 +231,7 @@ def _face(face: FacePlan) -> list[float]:
     row[LAND], row[LOW], row[HIGH] = face.land, face.low, face.high
     row[CLIMB] = face.slope / sqrt(1.0 + face.slope * face.slope)  # least N of a ray steeper than the face
     row[WHOLE] = float(face.whole)
-    row[BLIND] = float(face.blind)
+    row[BLIND], row[LAND_SIDE] = float(face.blind), float(face.land_side)
     return row
 
 

@@ -79,12 +79,9 @@ class Launched(NamedTuple):
 class Outcome(NamedTuple):
     """Columns of the result; see `clacad.optics.rays.TraceResult`.
 
-    Attributes
-    ----------
     position, direction : (n, 3); fate : (n,) bytes; path : (n,) lengths
     cell, order : (n, 2) ints; surface : (n,) ints
-    hits, turns : (faces, n, 3) or (0, n, 3)
-        Point where each face was met, and the direction behind it.
+    hits, turns : (faces, n, 3) or (0, n, 3). Point where each face was met, and the direction behind it.
     """
 
     position: Floats
@@ -101,12 +98,8 @@ class Outcome(NamedTuple):
 class Scratch(NamedTuple):
     """Working memory for the walk of one ray.
 
-    Attributes
-    ----------
-    walker, left : (WALKER_NUMBERS,)
-        The ray, and its state as it left the last body.
-    event : (EVENT_NUMBERS,)
-        The next thing it meets.
+    walker, left : (WALKER_NUMBERS,). The ray, and its state as it left the last body.
+    event : (EVENT_NUMBERS,). The next thing it meets.
     work : (WORK_NUMBERS,), causes : (DIVISIONS,) ints, stack : (DEPTH,) ints
         Search for that event on faces and in a tree of boxes.
     """

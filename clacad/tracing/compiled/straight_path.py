@@ -21,7 +21,7 @@ import numpy as np
 from clacad.base.compiled import exact, inlined, least
 from clacad.base.types import Floats, Rows
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.array_cells import row_of
+from clacad.tracing.compiled.array_cells import into_array, row_of
 from clacad.tracing.compiled.block import (
     BEHIND_START,
     CI,
@@ -194,7 +194,7 @@ def _meet_biconic(faces: Floats, f: int, s: Floats, m: int, media: Media, offset
 def _proud(face: Floats, s: Floats, m: int) -> None:
     """Require that hits lie on the lens where land could cover it."""
     z, good = lanes(s, (Z, GOOD))
-    vz, land, side = face[slot.VZ], face[slot.LAND], face[slot.SIDE]
+    vz, land, side = face[slot.VZ], face[slot.LAND], face[slot.LAND_SIDE]
     for i in range(m):
         good[i] = least(good[i], (land - vz - z[i]) * side)
 
@@ -225,14 +225,9 @@ def _carry(
 ) -> None:
     """Carry rays to a level and into the cells of the array there, with equal or different pitch.
 
-    Parameters
-    ----------
-    level : float
-        Height over the body's level, and the rays' height afterwards.
-    arrays : (int, int)
-        Array in whose cells the rays are, and array into whose cells they are carried.
-    origin : (x, y, z)
-        The rays' origin, seen from the centre of their cell and the body's level.
+    level : Height over the body's level, and the rays' height afterwards.
+    arrays : (int, int). Array in whose cells the rays are, and array into whose cells they are carried.
+    origin : (x, y, z). The rays' origin, seen from the centre of their cell and the body's level.
     """
     x, y, z, dx, dy, dz, path, ci, cj = lanes(s, (X, Y, Z, DX, DY, DZ, PATH, CI, CJ))
     real = s.dtype.type
@@ -366,26 +361,34 @@ def _cross(
         _climbing(s, m, climb)
     if within and not (plain and lat[slot.HEXAGONAL] == 0.0):
         hold_in_zone(lat, s, m, margin, face[slot.VX], face[slot.VY])
+    if own is None:
+        _hold_proud(face, s, m)
+
+
+@inlined
+def _hold_proud(face: Floats, s: Floats, m: int) -> None:
+    """Require that hits lie on the lens, if land could cover it."""
     if face[slot.WHOLE] == 0.0 and face[slot.LAND] == face[slot.LAND]:
         _proud(face, s, m)
 
 
 @inlined
-def _into_lens(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int) -> None:
-    """Transform positions to the lens of each ray's own cell, where lens offsets vary from cell to cell."""
+def _into_lens(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int, offset: Vector) -> None:
+    """Transform rays to the lens of each ray's own cell, where lenses vary from cell to cell."""
     if own is not None:
-        to_own_lens(sheet, own, f, s, m)
+        to_own_lens(sheet, own, f, s, m, offset)
 
 
 @inlined
 def _out_of_lens(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int) -> None:
     """Undo `_into_lens`; hits on a structured face must lie in the optical zone of the cell."""
     if own is not None:
-        from_own_lens(own, f, s, m)
+        from_own_lens(own, f, s, m, (0.0, 0.0, 0.0))
         face = sheet.faces[f]
         if face[slot.ARRAY] >= 0.0:
             lat = sheet.lattices[int(face[slot.ARRAY])]
             hold_in_zone(lat, s, m, lat[slot.MARGIN], face[slot.VX], face[slot.VY])
+        _hold_proud(face, s, m)
 
 
 @exact
@@ -406,12 +409,17 @@ def _start_ahead(s: Floats, m: int, carried: Floats) -> None:
 
 
 @exact
-def _open_baffle(lat: Floats, face: Floats, s: Floats, m: int) -> None:
-    """Require that rays pass the honeycomb between the arrays."""
+def _open_baffle(sheet: Packed, f: int, gone: int, array: int, s: Floats, m: int) -> None:
+    """Require that rays pass the honeycomb between the cells of array `gone`, which they left, and face f."""
+    face, entry = sheet.faces[f], int(sheet.bodies[f // 2, slot.ENTRY])
+    before, behind = sheet.lattices[row_of(sheet.own, gone)], sheet.lattices[row_of(sheet.own, entry)]
     for i in range(m):
-        di, dj = s[CI, i] - s[CI0, i], s[CJ, i] - s[CJ0, i]
-        x, y = s[X, i] + face[slot.VX], s[Y, i] + face[slot.VY]
-        if s[GOOD, i] > 0.0 and reach(lat, s[LEFT_X, i], s[LEFT_Y, i], x, y, di, dj) <= 1.0:
+        ci, cj = 1.0 * s[CI, i], 1.0 * s[CJ, i]
+        x, y = 1.0 * s[X, i] + face[slot.VX], 1.0 * s[Y, i] + face[slot.VY]
+        if face[slot.ARRAY] < 0.0:  # a plane face: the cells are still those of the array before
+            ci, cj, x, y = into_array(sheet, array, entry, ci, cj, x, y)
+        di, dj = ci - s[CI0, i], cj - s[CJ0, i]
+        if s[GOOD, i] > 0.0 and reach(before, behind, s[LEFT_X, i], s[LEFT_Y, i], x, y, di, dj) <= 1.0:
             s[GOOD, i] = 0.0
 
 
@@ -463,17 +471,27 @@ def _absorbed(s: Floats, m: int, rate: float, vz: float, side: int) -> None:
 
 
 @exact
-def _lose(sheet: Packed, f: int, s: Floats, m: int, media: Media) -> None:
-    """Apply the losses at the face just crossed, and in the glass behind or before it."""
-    face, reflects, rate = sheet.faces[f], sheet.losses[0] != 0.0, sheet.losses[1 + f // 2]
+def _reflect(sheet: Packed, f: int, s: Floats, m: int, media: Media) -> None:
+    """Apply the losses at the face just crossed."""
+    face, reflects = sheet.faces[f], sheet.losses[0] != 0.0
     n1, n2 = media
     if reflects and n1 != n2:
         if face[slot.TURNED] == 0.0 and face[slot.BICONIC] == 0.0:
             _let_through(face, s, m, n1, n2)
         else:
             _let_through_turned(s, m, n1, n2)
-    if rate != 0.0:
-        _absorbed(s, m, rate, face[slot.VZ], f % 2)
+
+
+@inlined
+def _leave(sheet: Packed, f: int, s: Floats, m: int, media: Media, facets: bool) -> None:
+    """Leave the lens of a face just crossed, with its losses and those in the glass behind or before it."""
+    counted = len(sheet.losses) > 0
+    if counted:
+        _reflect(sheet, f, s, m, media)
+    if not facets:
+        _out_of_lens(sheet.own, sheet, f, s, m)
+    if counted and sheet.losses[1 + f // 2] != 0.0:
+        _absorbed(s, m, sheet.losses[1 + f // 2], sheet.faces[f, slot.VZ], f % 2)
 
 
 @exact
@@ -549,7 +567,7 @@ def _before_other(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int
     """Require that a hit comes before the body's other face."""
     face, other = sheet.faces[f], sheet.faces[f + 1 - 2 * (f % 2)]
     if own is not None:
-        own_thick(sheet, own, f, s, m)
+        own_thick(sheet, f, s, m)
     elif face[slot.BICONIC] == 0.0 and other[slot.BICONIC] == 0.0:
         _between(face, other, s, m, 1.0 - 2.0 * (f % 2))
     else:
@@ -577,7 +595,7 @@ def straight(
     Positions are relative to the face last crossed. Counted losses (`Packed.losses`) are in SHARE and DEPTH.
     """
     faces, bodies, lat, own = sheet.faces, sheet.bodies, sheet.lattice, sheet.own
-    m, array, met, counted = len(chosen), 0, 0, len(sheet.losses) > 0
+    m, array, gone, met, counted = len(chosen), 0, 0, 0, len(sheet.losses) > 0
     for i in range(m if counted else 0):
         s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
     ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level
@@ -589,6 +607,7 @@ def straight(
             return array
         if b:
             oz -= body[slot.LEVEL] - bodies[b - 1, slot.LEVEL]
+            gone = array
             if lat[slot.BAFFLE] != slot.NO_BAFFLE:
                 for i in range(m):
                     s[LEFT_X, i], s[LEFT_Y, i] = s[X, i] + ox, s[Y, i] + oy
@@ -618,12 +637,9 @@ def straight(
                 if structured:
                     hold_in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
             else:
-                _into_lens(own, sheet, f, s, m)
+                _into_lens(own, sheet, f, s, m, (ox - vx, oy - vy, oz - vz))
                 _cross(own, sheet, f, s, m, media, climb, (ox - vx, oy - vy, oz - vz))
-            if counted:
-                _lose(sheet, f, s, m, media)
-            if tiles is None:
-                _out_of_lens(own, sheet, f, s, m)
+            _leave(sheet, f, s, m, media, tiles is not None)
             ox, oy, oz = vx, vy, vz
             if structured:
                 met += 1
@@ -633,7 +649,7 @@ def straight(
             if f == 0:
                 _start_ahead(s, m, carried)
             if b and side == 0 and lat[slot.BAFFLE] != slot.NO_BAFFLE:
-                _open_baffle(lat, face, s, m)
+                _open_baffle(sheet, f, gone, array, s, m)
             if len(hits) and not counted:
                 _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
         if columnar:

@@ -12,7 +12,7 @@ from clacad.base.types import Floats, Rows, Rung
 from clacad.optics.law import law_numbers
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled.chunk import straight_chunk_single, trace_chunk, trace_chunk_of_triangles
-from clacad.tracing.compiled.packing import Packed, in_single, pack
+from clacad.tracing.compiled.packing import Packed, in_single, pack, pack_own
 from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.compiled.threads import CHUNK, in_arrays, over_threads
 from clacad.tracing.facets.squares import Triangles
@@ -25,12 +25,8 @@ FIRST = np.arange(CHUNK)
 
 
 def packed(layout: Layout) -> Packed:
-    """Pack the layout of any sheet; code for non-uniform sheets is loaded only where needed."""
-    if layout.window.uniform:
-        return pack(layout)
-    from clacad.tracing.compiled.own_cells import pack_own
-
-    return pack_own(layout)
+    """Pack the layout of any sheet."""
+    return pack(layout) if layout.window.uniform else pack_own(layout)
 
 
 def trace_compiled(
@@ -87,16 +83,16 @@ def rung_is_kept(rung: Rung, layout: Layout) -> bool:
     traced = (rows, *in_arrays(one, Ledger.blank(1, 0)))
     if rung in ("surfaces", "mesh"):
         return is_kept(trace_chunk, (None, sheet, *traced))
-    kernel, optics = _ideal(rung, layout)
-    return is_kept(kernel, (sheet, optics, *traced, left))
+    kernel, *optics = _ideal(rung, layout)
+    return is_kept(kernel, (*optics, *traced, left))
 
 
-def _ideal(rung: Rung, layout: Layout) -> tuple[Any, Any]:
-    """Kernel of rung law or thin, and the numbers of its optics."""
+def _ideal(rung: Rung, layout: Layout) -> tuple[Any, Packed, Floats]:
+    """Kernel of rung law or thin, the sheet, and the numbers of its optics."""
     if rung == "law":
-        from clacad.tracing.compiled.law_rung import law_chunk
+        from clacad.tracing.compiled.law_rung import law_chunk, sheet_plane
 
-        return law_chunk, law_numbers(layout.window.law)
+        return law_chunk, sheet_plane(layout), law_numbers(layout.window.law)
     from clacad.tracing.compiled.thin import thin_chunk, thin_pair
 
-    return thin_chunk, thin_pair(layout)[1]
+    return thin_chunk, *thin_pair(layout)

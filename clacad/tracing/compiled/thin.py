@@ -12,11 +12,12 @@ from math import sqrt
 
 import numpy as np
 
-from clacad.base.compiled import exact, least, owning
+from clacad.base.compiled import exact, inlined, least, owning
 from clacad.base.types import Floats, Rows
 from clacad.optics.rays import Rays
 from clacad.optics.sequence import UNIT
 from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.array_cells import into_array, row_of
 from clacad.tracing.compiled.block import (
     BEHIND_START,
     BLOCK,
@@ -44,7 +45,6 @@ from clacad.tracing.compiled.block import (
     queue_undecided,
     store_block,
 )
-from clacad.tracing.compiled.cells import to_array
 from clacad.tracing.compiled.launch import launch_block
 from clacad.tracing.compiled.law_rung import (
     CLEAR,
@@ -58,7 +58,8 @@ from clacad.tracing.compiled.law_rung import (
     surely_beside,
     surely_unmet,
 )
-from clacad.tracing.compiled.packing import Packed, pack
+from clacad.tracing.compiled.own_straight import from_own_lens, to_own_lens
+from clacad.tracing.compiled.packing import OwnCells, Packed, pack_array_1, pack_own
 from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.layout import Layout, prepared
 from clacad.tracing.ledger import Ledger
@@ -89,13 +90,17 @@ def thin_pair(layout: Layout) -> tuple[Packed, Floats]:
         return kept
     thin = thin_layout(layout)
     lenses, bodies = np.zeros((2, LENS_NUMBERS)), np.zeros((2, slot.BODY_NUMBERS))
-    for patch, lens, body in zip(thin_patches(thin), lenses, bodies, strict=True):
+    patches = thin_patches(thin)
+    for patch, lens, body in zip(patches, lenses, bodies, strict=True):
         lens[: POWER_Y + 1] = *patch.vertex[:2], *patch.power
         lens[R0:FLAT] = patch.rotation.ravel()
         even = patch.high - patch.low < 0.1 * CLEAR * STEEPEST * layout.lattice.circumradius
         lens[FLAT] = float(even and layout.window.outline is None)
         body[slot.LEVEL], body[slot.BODY_LOW] = patch.level, patch.low
-    sheet = pack(thin)._replace(faces=np.zeros((2, slot.FACE_NUMBERS)), bodies=bodies, media=np.ones(5))
+    changes = [patch.change for patch in patches]
+    own = any(changes) or any(place.own for place in thin.window.placements)
+    whole = pack_own(thin, changes) if own else pack_array_1(thin)
+    sheet = whole._replace(faces=np.zeros((2, slot.FACE_NUMBERS)), bodies=bodies, media=np.ones(5))
     prepared(layout)["thin pair"] = sheet, lenses
     return sheet, lenses
 
@@ -106,8 +111,7 @@ def thin_chunk(
 ) -> int:
     """Trace the rays `chosen` of `start` and `ray` (n, 3) and write their rows.
 
-    left : (len(chosen),)
-        Receives the rows that are not decided here; their count is returned.
+    left : (len(chosen),). Receives the rows that are not decided here; their count is returned.
     """
     s, carried, count = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK), 0
     for first in range(0, len(chosen), BLOCK):
@@ -146,19 +150,31 @@ def _through(sheet: Packed, lenses: Floats, s: Floats, m: int, carried: Floats) 
     for array in range(2):
         if array:
             _carry_over(sheet, s, m)
+            lat = sheet.lattices[row_of(sheet.own, 1)]
             if lenses[1, FLAT] != 0.0 and lat[slot.BAFFLE] == slot.NO_BAFFLE:
                 _miss_second(sheet, s, m)
         else:
             copy_row(lane(s, CI), lane(s, CI0), m)
             copy_row(lane(s, CJ), lane(s, CJ0), m)
             _miss_first(sheet, lenses, s, m, carried)
-        arrive_well_inside(sheet, s, m)
-        _meet(lenses[array], s, m)
+        arrive_well_inside(sheet, array, s, m)
+        _through_lens(sheet.own, sheet, lenses[array], array, s, m)
         hold_in_zone(lat, s, m, margin, 0.0, 0.0)
-        _bend(lenses[array], s, m)
         if array == 0:
             _ahead(s, m, carried, FAR * lat[slot.REACH])
     _not_far_off(s, m, 0.5 if lat[slot.BAFFLE] != slot.NO_BAFFLE else ORDERS + 0.5)
+
+
+@inlined
+def _through_lens(own: OwnCells | None, sheet: Packed, lens: Floats, array: int, s: Floats, m: int) -> None:
+    """Meet the lens of the cell and be refracted there."""
+    offset = (-lens[CENTRE_X], -lens[CENTRE_Y], 0.0)
+    if own is not None:
+        to_own_lens(sheet, own, array, s, m, offset)
+    _meet(lens, s, m)
+    _bend(lens, s, m)
+    if own is not None:
+        from_own_lens(own, array, s, m, offset)
 
 
 @exact
@@ -175,7 +191,7 @@ def _miss_first(sheet: Packed, lenses: Floats, s: Floats, m: int, carried: Float
 def _miss_second(sheet: Packed, s: Floats, m: int) -> None:
     """Mark rays that passed lens 1 and certainly miss lens 2."""
     for i in range(m):
-        if s[GOOD, i] > 0.0 and s[DZ, i] > STEEPEST and surely_beside(sheet, s, i):
+        if s[GOOD, i] > 0.0 and s[DZ, i] > STEEPEST and surely_beside(sheet, 1, s, i):
             s[MISS, i], s[LEFT_X, i], s[LEFT_Y, i], s[ROOT, i] = 1.0, 1.0, s[CI0, i], s[CJ0, i]
 
 
@@ -195,9 +211,7 @@ def _carry_over(sheet: Packed, s: Floats, m: int) -> None:
     level = two[slot.LEVEL] + two[slot.BODY_LOW] - one[slot.LEVEL]
     for i in range(m):
         t = (level - z[i]) / dz[i]
-        ci[i], cj[i], x[i], y[i] = to_array(
-            sheet.lattice, 0, 1, ci[i], cj[i], x[i] + t * dx[i], y[i] + t * dy[i]
-        )
+        ci[i], cj[i], x[i], y[i] = into_array(sheet, 0, 1, ci[i], cj[i], x[i] + t * dx[i], y[i] + t * dy[i])
         z[i] = two[slot.BODY_LOW]
         path[i] += t
 

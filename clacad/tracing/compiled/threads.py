@@ -53,10 +53,7 @@ def over_threads(one: Callable[[Several], Found], rows: Several, threads: int) -
 def thread_count(asked: int | None) -> int:
     """Threads to use: as requested, else CLACAD_THREADS, else one for each core this process may use.
 
-    Raises
-    ------
-    ValueError
-        The number, or the variable, is not a positive whole number.
+    Raises ValueError: The number, or the variable, is not a positive whole number.
     """
     text = os.environ.get("CLACAD_THREADS", "") if asked is None else str(asked)
     if text == "":

@@ -9,16 +9,8 @@ from clacad.base.types import Floats, Ints
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.array_cells import into_array, row_of, vertex
-from clacad.tracing.compiled.cells import (
-    ARRIVING,
-    INSIDE,
-    LEAVING,
-    kept,
-    quick_change,
-    reach,
-    sheet_xy,
-)
+from clacad.tracing.compiled.array_cells import into_array, lens_at, row_of
+from clacad.tracing.compiled.cells import ARRIVING, INSIDE, LEAVING, kept, quick_change, reach, sheet_xy
 from clacad.tracing.compiled.column import box_span, first_change, in_footprint
 from clacad.tracing.compiled.face import meet, snell, to_lens, to_sheet, upward
 from clacad.tracing.compiled.packing import Packed
@@ -233,7 +225,7 @@ def _approach(
     hole = kind == ABOVE and _over(sheet, b, w, distance)
     missed = kind == ASIDE or (kind == ABOVE and not hole)
     if b and lat[slot.BAFFLE] != slot.NO_BAFFLE:
-        if _stopped_by_baffle(sheet.bodies, lat, b, w, left, event, gap):
+        if _stopped_by_baffle(sheet, b, w, left, event, gap):
             _record_end(left, row, hits, turns)
             for c in range(WALKER_NUMBERS):
                 w[c] = left[c]
@@ -266,13 +258,7 @@ def _over(sheet: Packed, b: int, w: Floats, distance: float) -> bool:
 
 @exact
 def _refract(
-    tiles: Tiles | None,
-    trees: Hierarchy | None,
-    sheet: Packed,
-    b: int,
-    side: int,
-    w: Floats,
-    event: Floats,
+    tiles: Tiles | None, trees: Hierarchy | None, sheet: Packed, b: int, side: int, w: Floats, event: Floats
 ) -> int:
     """Refract at the front or back that was met; the fate of a ray that ends there, or GOES_ON."""
     faces, bodies, lat, f = sheet.faces, sheet.bodies, sheet.lattice, 2 * b + side
@@ -293,9 +279,10 @@ def _refract(
         if on_lens:
             ox, oy, oz = _through_facet(event, (L, M, N), n1, n2)
     elif on_lens:
-        (vx, vy), vz = vertex(sheet, f, event[place], event[place + 1]), faces[f, slot.VZ]
-        sx, sy, sz = to_lens(faces, f, x - vx, y - vy, z - vz)
+        vx, vy, vz, size = lens_at(sheet, f, event[place], event[place + 1])
+        sx, sy, sz = to_lens(faces, f, (x - vx) / size, (y - vy) / size, (z - vz) / size)
         u, v, k = to_lens(faces, f, L, M, N)
+        distance = distance / size
         t, px, py, pz, gx, gy, gz, root = meet(faces, f, sx, sy, sz, u, v, k)
         if not abs(t - distance) <= SAME * lat[slot.HALF]:
             # `meet` gives the other crossing where a ray falls in the lens's frame while it rises in the
@@ -309,9 +296,9 @@ def _refract(
             root = gx * u + gy * v + gz * k
         ox, oy, oz = snell((u, v, k), (gx, gy, gz), root, n1, n2)
         ox, oy, oz = to_sheet(faces, f, ox, oy, oz)
-        met, distance = True, t
+        met, distance = True, size * t
         px, py, pz = to_sheet(faces, f, px, py, pz)
-        x, y, z = px + vx, py + vy, pz + vz
+        x, y, z = size * px + vx, size * py + vy, size * pz + vz
     if not met:
         x, y = x + distance * L, y + distance * M
         z = faces[f, slot.LAND] if levelled else z + distance * N
@@ -401,15 +388,16 @@ def _cross_gap(sheet: Packed, b: int, w: Floats) -> tuple[float, int]:
 
 
 @exact
-def _stopped_by_baffle(
-    bodies: Floats, lat: Floats, b: int, w: Floats, left: Floats, event: Floats, gap: float
-) -> bool:
+def _stopped_by_baffle(sheet: Packed, b: int, w: Floats, left: Floats, event: Floats, gap: float) -> bool:
     """Whether the honeycomb between the arrays stops the ray; `left` is then put there."""
-    main = int(bodies[b, slot.ENTRY])
+    main = int(sheet.bodies[b, slot.ENTRY])
     place = PLACE + 4 * main
     distance = event[DISTANCE]
+    before = sheet.lattices[row_of(sheet.own, int(left[AT_ARRAY]))]
+    behind = sheet.lattices[row_of(sheet.own, main)]
     u, v = event[place + 2] + distance * w[DX], event[place + 3] + distance * w[DY]
-    share = reach(lat, left[X], left[Y], u, v, event[place] - left[CI], event[place + 1] - left[CJ])
+    i, j = event[place] - left[CI], event[place + 1] - left[CJ]
+    share = reach(before, behind, left[X], left[Y], u, v, i, j)
     if not isfinite(share):
         return False
     run = share * (gap + distance)

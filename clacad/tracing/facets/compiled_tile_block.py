@@ -15,22 +15,7 @@ import numpy as np
 from clacad.base.compiled import exact, least
 from clacad.base.types import Floats
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.block import (
-    DX,
-    DY,
-    DZ,
-    GOOD,
-    GX,
-    GY,
-    GZ,
-    HALF,
-    PATH,
-    RANGE,
-    X,
-    Y,
-    Z,
-    lanes,
-)
+from clacad.tracing.compiled.block import DX, DY, DZ, GOOD, GX, GY, GZ, HALF, PATH, RANGE, X, Y, Z, lanes
 from clacad.tracing.compiled.face import bend
 from clacad.tracing.compiled.records import Ray, Vector
 from clacad.tracing.facets.compiled_tiles import facet_normal, locate_facet
@@ -82,8 +67,7 @@ def _squares_of(row: Floats) -> SquareGrid:
 def to_level(squares: SquareGrid, shear: float, s: Floats, m: int, level: float) -> None:
     """Extrapolate rays to a level without moving them, and find the half bin there.
 
-    shear : float
-        Step of the rows along y per length along x; 0 for rectangular bins.
+    shear : Step of the rows along y per length along x; 0 for rectangular bins.
     """
     x, y, z, dx, dy, dz, bins = lanes(s, (X, Y, Z, DX, DY, DZ, HALF))
     low_x, low_y, per_x, per_y, nx, ny, first, split = squares

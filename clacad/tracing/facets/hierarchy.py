@@ -28,18 +28,12 @@ ROOT, FIRST, COUNT, LEVELS = range(4)
 class Hierarchy(NamedTuple):
     """Triangles of every body or mesh, one after the other, each in its tree.
 
-    Attributes
-    ----------
-    corner : (t, 3, 3) lengths
-        Of bodies, counter-clockwise seen from outside.
-    corner_normal : (t, 3, 3) or (0, 3, 3)
-        Outward normals at the corners, where requested.
-    tree : (bodies, 4) ints
-        Columns as named above.
-    box : (nodes, 6) lengths
-        Low and high corner of each box. Node i has children 2 i + 1 and 2 i + 2; the 2^LEVELS nodes of the
-        last level are leaves. Of n triangles leaf k has those from k n / 2^LEVELS to (k + 1) n / 2^LEVELS,
-        rounded down.
+    corner : (t, 3, 3) lengths. Of bodies, counter-clockwise seen from outside.
+    corner_normal : (t, 3, 3) or (0, 3, 3). Outward normals at the corners, where requested.
+    tree : (bodies, 4) ints. Columns as named above.
+    box : (nodes, 6) lengths. Low and high corner of each box. Node i has children 2 i + 1 and 2 i + 2; the
+        2^LEVELS nodes of the last level are leaves. Of n triangles leaf k has those from k n / 2^LEVELS to (k
+        + 1) n / 2^LEVELS, rounded down.
     """
 
     corner: Floats
@@ -51,10 +45,7 @@ class Hierarchy(NamedTuple):
 def hierarchy(bodies: Sequence[Floats]) -> tuple[Ints, Hierarchy]:
     """Triangles of each body in a tree of boxes.
 
-    Parameters
-    ----------
-    bodies : sequence of (t, 3, 3) lengths
-        Corners; none empty.
+    bodies : sequence of (t, 3, 3) lengths. Corners; none empty.
 
     Returns
     -------
@@ -147,14 +138,8 @@ def nearest_triangle(
 ) -> tuple[Floats, Ints]:
     """First triangle of mesh b that each ray meets; whole bundles of rays traverse the tree together.
 
-    Parameters
-    ----------
-    trees : Hierarchy
-    b : int
-    origin, direction : (n, 3) arrays
-        In the tree's frame; directions of any length.
-    limit : (n,)
-        Only hits at distances (in lengths of the direction) above 0 and below this count.
+    origin, direction : (n, 3) arrays. In the tree's frame; directions of any length.
+    limit : (n,). Only hits at distances (in lengths of the direction) above 0 and below this count.
 
     Returns
     -------

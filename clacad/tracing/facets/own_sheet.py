@@ -51,12 +51,9 @@ class _Way:
     """Record of n rays, face by face.
 
     hits : (faces, n, 3) lengths
-    met : (faces, n) bool
-        Whether they were refracted at that face.
-    dry : (bodies, n) bool
-        Whether they have passed that body without meeting it.
-    tops : (bodies, n, 3) lengths
-        Points where those rays rose past it.
+    met : (faces, n) bool. Whether they were refracted at that face.
+    dry : (bodies, n) bool. Whether they have passed that body without meeting it.
+    tops : (bodies, n, 3) lengths. Points where those rays rose past it.
     """
 
     hits: Floats

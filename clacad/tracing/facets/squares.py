@@ -48,17 +48,12 @@ WHOLE_OF = (15 - (1 << 0), 15 - (1 << 1), 15 - (1 << 2), 15 - (1 << 3))
 class Squares(NamedTuple):
     """Bins of every body, one body after the other.
 
-    Attributes
-    ----------
-    table : (bodies, SQUARE_NUMBERS)
-        Columns as named above, lengths in the sheet frame. Diagonals are −1 rising, +1 falling; slopes are
-        sines; corners deviate by a share of a bin.
-    odd : (corners of bins,) ints
-        For each corner of bins, the number of bins to its left and below that contain walls or are not
-        halved: four of them give the count in any rectangle.
-    plane : (2 bins, 2, 4)
-        Normal towards +z, of length twice the facet's area, and its product with the facet's first corner.
-        For both halves of a bin, the one before its diagonal first, on both sides.
+    table : (bodies, SQUARE_NUMBERS). Columns as named above, lengths in the sheet frame. Diagonals are −1
+        rising, +1 falling; slopes are sines; corners deviate by a share of a bin.
+    odd : (corners of bins,) ints. For each corner of bins, the number of bins to its left and below that
+        contain walls or are not halved: four of them give the count in any rectangle.
+    plane : (2 bins, 2, 4). Normal towards +z, of length twice the facet's area, and its product with the
+        facet's first corner. For both halves of a bin, the one before its diagonal first, on both sides.
     """
 
     table: Floats

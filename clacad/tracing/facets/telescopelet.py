@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Bytes, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.optics.surface import meet, refract
-from clacad.sheet.window import Face, Window, face_height, in_optical_tile, lens_height
+from clacad.sheet.window import Body, Face, Window, face_height, in_optical_tile, lens_height
 from clacad.tracing.facets.hierarchy import Hierarchy, hierarchy
 
 RINGS = 3
@@ -35,14 +35,10 @@ SAME = 1e-13
 class SampledFace:
     """One face over one cell as a bicubic spline.
 
-    face : Face
-        Face of the design, for its land.
-    origin : (3,) lengths
-        Centre of the face's cell in the sheet frame, z = 0.
-    window : Window
-        Window whose optical zone ends the face.
-    low, step : (2,) lengths
-        First node, cell frame, and spacing of nodes.
+    face : Face of the design, for its land.
+    origin : (3,) lengths. Centre of the face's cell in the sheet frame, z = 0.
+    window : Window whose optical zone ends the face.
+    low, step : (2,) lengths. First node, cell frame, and spacing of nodes.
     coefficients : (nx + 2, ny + 2) lengths
         Coefficients of cubic B-splines; node (i, j) is the middle of the 3 × 3 block that begins at [i, j].
     """
@@ -58,20 +54,11 @@ class SampledFace:
 def sampled_face(window: Window, face: Face, origin: Floats, samples: Floats, step: Floats) -> SampledFace:
     """Fit a bicubic surface to samples of one cell.
 
-    Parameters
-    ----------
     window, face
-    origin : (3,) lengths
-        Centre of the face's cell in the sheet frame, z = 0.
-    samples : (m, 3) lengths
-        x and y in the cell frame, on a grid; z in the sheet frame.
-    step : (2,) lengths
-        Spacing of samples along x and y.
-
-    Raises
-    ------
-    ValueError
-        Fewer than 4 × 4 samples lie on the lens.
+    origin : (3,) lengths. Centre of the face's cell in the sheet frame, z = 0.
+    samples : (m, 3) lengths. x and y in the cell frame, on a grid; z in the sheet frame.
+    step : (2,) lengths. Spacing of samples along x and y.
+    Raises ValueError: Fewer than 4 × 4 samples lie on the lens.
     """
     known = _samples_on_lens(window, face, samples)
     if len(known) < 16:
@@ -167,11 +154,7 @@ def meet_sampled(
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Intersect rays with a bicubic surface.
 
-    Parameters
-    ----------
-    face : SampledFace
-    position, direction : (n, 3) arrays
-        Sheet frame; unit directions with d_z > 0.
+    position, direction : (n, 3) arrays. Sheet frame; unit directions with d_z > 0.
 
     Returns
     -------
@@ -206,16 +189,12 @@ def meet_sampled(
 class FacetFace:
     """The facets of one side of one body over one cell, in a tree of boxes.
 
-    trees : Hierarchy or None
-        One body: the facets `trees.corner` (t, 3, 3), lengths relative to `origin`, wound counter-clockwise
-        seen from outside.
-    normals : (t, 3)
-        Outward, length twice the facet's area.
-    origin : (3,) lengths
-        Sheet frame.
+    trees : One body: the facets `trees.corner` (t, 3, 3), lengths relative to `origin`, wound
+        counter-clockwise seen from outside.
+    normals : (t, 3). Outward, length twice the facet's area.
+    origin : (3,) lengths. Sheet frame.
     z_range : (low, high), lengths, relative to origin
-    land : (t,) bool
-        Facets that are flat land: light through them is not lens light.
+    land : (t,) bool. Facets that are flat land: light through them is not lens light.
     """
 
     trees: Hierarchy | None
@@ -229,11 +208,8 @@ class FacetFace:
 class ExactFace:
     """A face of the design in place of facets, where a file contains only one of two bodies.
 
-    face : Face
-    origin : (3,) lengths
-        Centre of the face's cell in the sheet frame, z = 0.
-    window : Window or None
-        Window whose optical zone ends the face; None: it continues.
+    origin : (3,) lengths. Centre of the face's cell in the sheet frame, z = 0.
+    window : Window whose optical zone ends the face; None: it continues.
     """
 
     face: Face
@@ -246,14 +222,11 @@ AnyFace = FacetFace | ExactFace | SampledFace
 
 @dataclass(frozen=True, eq=False)
 class FacetBody:
-    """Front and back of one body over one cell, and its refractive index; `joined`: without air between it
-    and the body before, whose back it shares.
-    """
+    """Front and back of one body over one cell; `body`, of the design, has the index of its light."""
 
     front: AnyFace
     back: AnyFace
-    index: float
-    joined: bool = False
+    body: Body
 
 
 def facet_face(corners: Floats, origin: Floats, land: Bools | None = None) -> FacetFace:
@@ -284,13 +257,8 @@ def first_crossing(
 ) -> tuple[Floats, Ints]:
     """Distance to the first facet that light enters (or leaves) through, and its number.
 
-    Parameters
-    ----------
-    face : FacetFace
-    position, direction : (n, 3) arrays
-        Sheet frame; unit directions with d_z > 0.
-    entering : bool
-        Facets facing the light (outward normal against it), else those facing along it.
+    position, direction : (n, 3) arrays. Sheet frame; unit directions with d_z > 0.
+    entering : Facets facing the light (outward normal against it), else those facing along it.
 
     Returns
     -------
@@ -331,29 +299,23 @@ def _meet(face: AnyFace, position: Floats, direction: Floats, entering: bool) ->
 def trace_facets(bodies: tuple[FacetBody, ...], rays: Rays) -> TraceResult:
     """Send rays through the facets over one telescopelet.
 
-    Parameters
-    ----------
-    bodies : tuple of FacetBody
-        In the order of the light.
-    rays : Rays
-        Sheet frame.
-
-    Returns
-    -------
-    TraceResult
-        ALIVE where the ray entered and left every body over this telescopelet and goes on forwards, LAND
+    bodies : In the order of the light.
+    rays : Sheet frame, of one wavelength, or without: the design's.
+    Returns: ALIVE where the ray entered and left every body over this telescopelet and goes on forwards, LAND
         where it did so through land; TIR, BACKWARD; WALL where no facet was met (a wall, or another cell).
         `cell` and `order` are not known here.
     """
     passing = _Passing.launched(rays)
     live = np.arange(len(rays))
     number, before = 0, 1.0
-    for body, beyond in zip(bodies, (*bodies[1:], None), strict=True):
-        if not body.joined:
-            live = passing.cross(body.front, live, number, (before, body.index), True)
-        joint = beyond is not None and beyond.joined
-        after = beyond.index if beyond is not None and joint else 1.0
-        live = passing.cross(body.back, live, number + 1, (body.index, after), False, joint)
+    line = None if rays.wavelength is None or not len(rays) else float(rays.wavelength[0])
+    index = [one.body.index_at(line) for one in bodies] + [1.0]
+    for k, one in enumerate(bodies):
+        if not one.body.joined:
+            live = passing.cross(one.front, live, number, (before, index[k]), True)
+        joint = k + 1 < len(bodies) and bodies[k + 1].body.joined
+        after = index[k + 1] if joint else 1.0
+        live = passing.cross(one.back, live, number + 1, (index[k], after), False, joint)
         number, before = number + 2, after
     passing.fate[live[passing.aside[live]]] = Fate.LAND
     unknown = np.full((len(rays), 2), NO_CELL, dtype=np.int32)

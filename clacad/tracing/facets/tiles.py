@@ -37,26 +37,19 @@ FIRST, BIN, BINS_X, BINS_Y, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, TILE_NUMBERS = ra
 class Tiles(NamedTuple):
     """Facets of every tiling, one after the other.
 
-    Attributes
-    ----------
     table : (tiles, TILE_NUMBERS)
-    of : (bodies, 2) ints
-        Tile of a body's front and back.
+    of : (bodies, 2) ints. Tile of a body's front and back.
     weight : (m, 3, 3)
         Barycentric coordinate k of facet i over (x, y) is a x + b y + c; inside where all three are ≥ 0.
-    `beside` : (m, 3) ints
-        Facet across the edge opposite corner k, −1 at the tile's border.
+    `beside` : (m, 3) ints. Facet across the edge opposite corner k, −1 at the tile's border.
     plane : (m, 2, 3)
         Height a x + b y + c of front and back over the body's level; NaN where there is no surface.
-    part : (m, 2) uint8
-        LENS, LAND or VOID.
+    part : (m, 2) uint8. LENS, LAND or VOID.
     start : (bins + 1,) ints, member : ints
         Facets of bin b are member[start[b] : start[b + 1]], those nearest its middle first.
-    half : (2 bins,) ints
-        Facets that are exactly one half of a bin: 2 b below its diagonal, 2 b + 1 beyond; −1 for none.
-        Diagonals rise (SPLIT = −1) or fall (+1).
-    lens : (2 bins, 2, 3)
-        Planes of those facets where they belong to the lens, NaN elsewhere.
+    half : (2 bins,) ints. Facets that are exactly one half of a bin: 2 b below its diagonal, 2 b + 1 beyond;
+        −1 for none. Diagonals rise (SPLIT = −1) or fall (+1).
+    lens : (2 bins, 2, 3). Planes of those facets where they belong to the lens, NaN elsewhere.
     normal : (m, 2, 3, 3) or (0, 2, 3, 3)
         Unit normals towards +z of front and back at the facet's corners, for normals = "vertex".
     """
@@ -78,11 +71,8 @@ class Tiles(NamedTuple):
 class TiledFace(FacePlan):
     """A face made of the mesh's facets: bounds as of any face, the surface in the tiles.
 
-    tiles : Tiles
-    tile : int
-        Index of its tile; of a plane face that of its body, whose facets are level.
-    side : 0 or 1
-        Front or back.
+    tile : Index of its tile; of a plane face that of its body, whose facets are level.
+    side : 0 or 1. Front or back.
     """
 
     tiles: Tiles = field(kw_only=True)
@@ -109,18 +99,9 @@ class _Tile:
 def lay_out_mesh(window: Window, mesh: Mesh, normals: Normals) -> tuple[Layout, Tiles]:
     """Prepare a window and its mesh for tracing.
 
-    Parameters
-    ----------
-    window : Window
-        Window that defines cells, land and baffle; the mesh defines heights.
-    mesh : Mesh
-    normals : "facet" or "vertex"
-        Normals of the facets, or the exact normals at the vertices, interpolated.
-
-    Raises
-    ------
-    ValueError
-        The mesh has other bodies than the window.
+    window : Window that defines cells, land and baffle; the mesh defines heights.
+    normals : "facet" or "vertex". Normals of the facets, or the exact normals at the vertices, interpolated.
+    Raises ValueError: The mesh has other bodies than the window.
     """
     if [body.name for body in mesh.bodies] != [body.name for body in window.bodies]:
         raise ValueError("the mesh was made from a window with other bodies")
@@ -264,8 +245,7 @@ def _binned(corners: Floats) -> tuple[list[float], Ints, Ints]:
 def over_bins(which: Ints, first: Ints, across: Ints, bins_x: int) -> tuple[Ints, Ints]:
     """Every pair of a facet of `which` (k,) and a bin it is over.
 
-    first, across : (m, 2)
-        Of all facets: the first bin along x and y, and the number of bins from there.
+    first, across : (m, 2). Of all facets: the first bin along x and y, and the number of bins from there.
     """
     each = across[which].prod(axis=1)
     facet = np.repeat(which, each)

@@ -23,7 +23,7 @@ from clacad.sheet.window import WALL, Window
 from clacad.storage.errors import LimitRefused
 from clacad.tracing.facets.hierarchy import hierarchy
 from clacad.tracing.facets.squares import Triangles, find_squares
-from clacad.tracing.facets.tiles import Normals
+from clacad.tracing.facets.tiles import Normals, lay_out_mesh
 from clacad.tracing.layout import BodyPlan, Layout, lay_out, prepared
 
 UNITS = (1.0, 1000.0, 0.001, 25.4, 1.0 / 25.4)
@@ -41,30 +41,20 @@ class UnusableMesh(ValueError):
 class TriangleSoup:
     """Triangles of all bodies, sheet frame, window units.
 
-    Parameters
-    ----------
-    corners : (t, 3, 3) lengths
-        Counter-clockwise seen from outside.
-    normals : (t, 3, 3) or None
-        Unit outward normals at the corners, where the file has them.
+    corners : (t, 3, 3) lengths. Counter-clockwise seen from outside.
+    normals : (t, 3, 3) or None. Unit outward normals at the corners, where the file has them.
+    owner : (t,) ints or None. Body of each triangle; None where it is found from the triangles.
     """
 
     corners: Floats
     normals: Floats | None = None
+    owner: Ints | None = None
 
 
 def read_soup(path: str | os.PathLike[str], window: Window) -> TriangleSoup:
     """Read a mesh file (STL, 3MF, PLY, OBJ, GLB) in the window's units.
 
-    Parameters
-    ----------
-    path : path
-    window : Window
-
-    Raises
-    ------
-    ValueError
-        The file states no unit and its size fits the window in none, or in more than one.
+    Raises ValueError: The file states no unit and its size fits the window in none, or in more than one.
     """
     # readers are in the room of the formats' writers; the tracer needs them only when it is given a path
     from clacad.formats.mesh.readers import read_mesh
@@ -115,15 +105,13 @@ def _factor(corners: Floats, window: Window) -> float:
 def lay_out_soup(window: Window, soup: TriangleSoup, normals: Normals) -> tuple[Layout, Triangles]:
     """Prepare a window and triangles from any source for tracing.
 
-    Raises
-    ------
-    ValueError
-        A body of the window has no triangles, or vertex normals are requested for a file without them.
+    Raises ValueError: A body of the window has no triangles, or vertex normals are requested for a file
+        without them.
     """
     if normals == "vertex" and soup.normals is None:
         raise UnusableMesh('normals = "vertex", but the mesh has none; they are never estimated')
     exact = lay_out(window)
-    owner = _of_plates(exact, soup.corners)
+    owner = _of_plates(exact, soup.corners) if soup.owner is None else soup.owner
     bodies = [np.flatnonzero(owner == b) for b in range(len(exact.bodies))]
     for mine, body in zip(bodies, window.bodies, strict=True):
         if len(mine) == 0:
@@ -168,9 +156,7 @@ def _of_plates(layout: Layout, corners: Floats) -> Ints:
     middle = corners.mean(axis=1)
     optical = np.abs(normal[:, 2]) > WALL * np.linalg.norm(normal, axis=1)
     body = np.where(
-        optical,
-        body_facing(between, middle[:, 2], normal[:, 2]),
-        np.searchsorted(between[2], middle[:, 2]),
+        optical, body_facing(between, middle[:, 2], normal[:, 2]), np.searchsorted(between[2], middle[:, 2])
     )
     return np.asarray(np.clip(body, first[owner], last[owner]))
 
@@ -233,9 +219,7 @@ OWN_QUADS = 16
 class Facets:
     """Triangles in place of a window's faces, ready for rays.
 
-    layout : Layout
-        The window, with the bounds of the triangles.
-    found_in : Tiles or Triangles
+    layout : The window, with the bounds of the triangles.
     """
 
     layout: Layout
@@ -248,13 +232,9 @@ def facets_of(window: Window, mesh: AnyMesh | int | Facets, normals: Normals) ->
     For a non-uniform sheet they are those of a sheet without an end; the tracer finds cells afterwards from
     the points met.
 
-    Raises
-    ------
-    ValueError
-        The mesh has other bodies than the window, no normals where vertex normals are requested, or no unit
-        that fits; or the requested number of quads cannot be made.
-    LimitRefused
-        The sheet is non-uniform and has more triangles than are held.
+    Raises ValueError: The mesh has other bodies than the window, no normals where vertex normals are
+        requested, or no unit that fits; or the requested number of quads cannot be made.
+    Raises LimitRefused: The sheet is non-uniform and has more triangles than are held.
     """
     if isinstance(mesh, Facets):
         return mesh
@@ -279,8 +259,6 @@ def _identity(mesh: AnyMesh | int) -> Callable[[], object]:
 
 
 def _laid_out(window: Window, mesh: AnyMesh | int, normals: Normals) -> Facets:
-    from clacad.tracing.facets.tiles import lay_out_mesh
-
     if isinstance(mesh, int):
         from clacad.mesh import tessellate
 
@@ -304,32 +282,30 @@ ENDLESS = 1_000_001
 
 
 def own_soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
-    """All the triangles of a sheet's own mesh.
-
-    Raises
-    ------
-    LimitRefused
-        More than `MOST_FACETS` triangles.
-    """
+    """All the triangles of a sheet's own mesh. Raises LimitRefused: More than `MOST_FACETS` triangles."""
     count = sum(body.facets_about for body in mesh.bodies)
     if count > MOST_FACETS:
         raise LimitRefused(
             f'rung "mesh": about {count:,} triangles of cells that differ are more than the {MOST_FACETS:,}'
             " that are held; use fewer quads or fewer cells"
         )
-    corners = np.concatenate([rows for body in mesh.bodies for rows in body.rows()])
-    if normals != "vertex":
-        return TriangleSoup(corners)
-    from clacad.mesh import corner_normals
+    from clacad.mesh.tessellation import shaded_portions
 
-    return TriangleSoup(corners, np.concatenate([n for body in mesh.bodies for n in corner_normals(body)]))
+    smooth = normals == "vertex"
+    corners, shaded, each = [], [], []
+    for body in mesh.bodies:
+        made = list(shaded_portions(body, smooth))
+        corners += [rows for _, rows, _ in made]
+        shaded += [rows for *_, rows in made if rows is not None]
+        each.append(sum(len(rows) for _, rows, _ in made))
+    owner = np.repeat(np.arange(len(each)), each)
+    return TriangleSoup(np.concatenate(corners), np.concatenate(shaded) if smooth else None, owner)
 
 
 def endless_layout(layout: Layout) -> Layout:
     """Uniform sheet without an end that replaces a non-uniform one where only triangles are searched.
 
-    layout : Layout
-        Of the sheet, with the bounds of the triangles.
+    layout : Of the sheet, with the bounds of the triangles.
     """
     window = layout.window
     still = tuple(

@@ -30,16 +30,12 @@ Kinds = NDArray[np.int8]
 class Event:
     """The first change of state along m rays.
 
-    Attributes
-    ----------
-    kind : (m,) ints
-        FRONT, BACK (a lens or plane face), FRONT_LAND, BACK_LAND, WALL, ABOVE (rose past the body) or ASIDE
-        (left the box round its footprint).
+    kind : (m,) ints. FRONT, BACK (a lens or plane face), FRONT_LAND, BACK_LAND, WALL, ABOVE (rose past the
+        body) or ASIDE (left the box round its footprint).
     distance : (m,) lengths
     cells, starts : one (m, 2) array for each of the body's arrays
         The cell where it happened and the ray's starting point seen from there.
-    normal : (m, 3) or None
-        Of facets: towards +z, of any length; (0, 0, 1) where none was met.
+    normal : (m, 3) or None. Of facets: towards +z, of any length; (0, 0, 1) where none was met.
     """
 
     kind: Kinds
@@ -296,7 +292,10 @@ def _solid(layout: Layout, body: BodyPlan, piece: RaysInColumn, pick: Rows, t: F
     cells = {array: cell[pick] for array, cell in piece.cells.items()}
     front = _lens_over(layout, body.front, points, cells, kept)
     back = _lens_over(layout, body.back, points, cells, kept)
-    bottom, top = np.fmin(front, body.front.land), np.fmax(back, body.back.land)
+    bottom, top = (
+        (np.fmin if face.land_side > 0 else np.fmax)(lens, face.land)
+        for lens, face in ((front, body.front), (back, body.back))
+    )
     if body.columnar:
         rimless = ~(front <= back)
         bottom = np.where(rimless, body.front.land, bottom)

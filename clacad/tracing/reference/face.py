@@ -22,15 +22,10 @@ from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 class Hit:
     """Where m rays cross a lens face, cell frame.
 
-    Attributes
-    ----------
     local : (m, 2), z : (m,) lengths
-    distance : (m,) length
-        NaN where the ray misses the lens.
-    direction : (m, 3)
-        After refraction; NaN at total internal reflection.
-    upright : (m,) bool
-        The surface is visible from straight above or below there: it is part of the face.
+    distance : (m,) length. NaN where the ray misses the lens.
+    direction : (m, 3). After refraction; NaN at total internal reflection.
+    upright : (m,) bool. The surface is visible from straight above or below there: it is part of the face.
     """
 
     local: Floats
@@ -46,8 +41,7 @@ def cross(
     """Intersect a lens face from its −z side and refract; m rays, `local` (m, 2) and `z` (m,) over the body's
     level.
 
-    places : LensPlaces, here and below
-        Position of each ray's lens, see `clacad.tracing.layout.lenses`.
+    places : here and below. Position of each ray's lens, see `clacad.tracing.layout.lenses`.
     """
     ray = to_surface(face.rotation, direction)
     met, point = meet_at(face.surface, to_surface(face.rotation, _start(places, local, z)), ray)
@@ -226,13 +220,9 @@ def wall_normals(
 ) -> Floats:
     """Horizontal unit normals (m, 2) of the walls that rays are at, on the side the rays go to.
 
-    Parameters
-    ----------
     direction : (m, 3)
-    local : one (m, 2) array for each of the body's arrays
-        The points, relative to the cells they are in.
-    xy : (m, 2)
-        The same points in the sheet frame.
+    local : one (m, 2) array for each of the body's arrays. The points, relative to the cells they are in.
+    xy : (m, 2). The same points in the sheet frame.
     """
     away, normals = [], []
     for array, points in local.items():
@@ -271,8 +261,7 @@ def _sides_of_outline(body: BodyPlan, xy: Floats) -> list[tuple[Floats, Floats]]
 def lens_normals(face: FacePlan, local: Floats, z: Floats, places: LensPlaces) -> Floats:
     """Unit normals (m, 3), sheet axes, of a lens face at points of the cell frame; NaN beyond the equator.
 
-    places : LensPlaces
-        Position of each point's lens, see `clacad.tracing.layout.lenses`.
+    places : Position of each point's lens, see `clacad.tracing.layout.lenses`.
     """
     vx, vy, vz = places.apex
     point = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])

@@ -195,7 +195,7 @@ def change(layout: Layout, body: BodyPlan, beam: Beam, inside: bool) -> Event:
 class _FacetSearch:
     """m rays on their way through the facets of one body; columns (m,) are changed in place.
 
-    limit, above, aside : distance until they are above the body or out of its box
+    above, aside : distance until they are above the body or out of its box
     facet : present facet in each of its arrays
     entered : start of the present piece
     since, cause : distance since when their state is known, and the cause of that state

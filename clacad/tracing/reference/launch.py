@@ -1,11 +1,12 @@
 """From rays as launched to rays in a cell: the exact plane step, and the step from array to array.
 
-The honeycomb between the arrays: sheared prisms from each cell's border to its partner's. Rung "law" needs
+The honeycomb between the arrays: a channel from each cell's border to its partner's. Rung "law" needs
 nothing else: the sheet is a plane z = 0 that obeys its law exactly, or in each cell the law of that cell.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -17,7 +18,7 @@ from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import Fate
 from clacad.optics.sequence import unit_directions
 from clacad.sheet.cell_places import centre_pairs
-from clacad.sheet.pattern import less_steps, relocate
+from clacad.sheet.pattern import less_steps, relocate, section
 from clacad.tracing.layout import BodyPlan, Layout, sheet_position
 from clacad.tracing.ledger import Ledger
 
@@ -46,17 +47,11 @@ class Extent(Protocol):
 class Beam:
     """m rays on their way, each relative to its present cell.
 
-    Attributes
-    ----------
-    rows : (m,) ints
-        Number of the launched ray of each.
-    array : int
-        The lens array whose cells `cell` and `local` refer to.
+    rows : (m,) ints. Number of the launched ray of each.
+    array : The lens array whose cells `cell` and `local` refer to.
     cell : (m, 2) ints
-    local : (m, 2) lengths
-        x, y from the centre of the cell.
-    z : (m,) lengths
-        Height over the current body's level.
+    local : (m, 2) lengths. x, y from the centre of the cell.
+    z : (m,) lengths. Height over the current body's level.
     direction : (m, 3) unit, sheet axes
     """
 
@@ -87,14 +82,10 @@ def launch(
 ) -> tuple[Beam, Floats]:
     """Carry rays to the reference plane of the first body, without rounding, and find their cells.
 
-    Parameters
-    ----------
-    room : Extent
-        Of the first body.
+    room : Of the first body.
     position, direction : (n, 3) arrays, sheet frame
         As launched; finite, of any length. Rows with d_z ≤ 0 must not be among `rows`.
-    rows : (m,) ints
-        The rays to launch.
+    rows : (m,) ints. The rays to launch.
 
     Returns
     -------
@@ -160,8 +151,6 @@ def _alongside(
 def box_span(layout: Layout, body: Extent, point: Floats, ray: Floats) -> tuple[Floats, Floats]:
     """Distances at which rays enter and leave the box round the footprint, a cell wider on every side.
 
-    Parameters
-    ----------
     point : (m, 2) lengths, sheet frame
     """
     pad = 2.0 * layout.lattice.circumradius
@@ -228,40 +217,64 @@ def on_to(layout: Layout, beam: Beam, left: BodyPlan, entered: BodyPlan) -> tupl
     return to_array(layout, moved, entered.arrays[0] if entered.arrays else beam.array), distance
 
 
-def reach(layout: Layout, left: Floats, met: Floats, order: Ints) -> Floats:
+def reach(layout: Layout, arrays: tuple[int, int], left: Floats, met: Floats, order: Ints) -> Floats:
     """Fraction of the gap that rays cross before they meet the honeycomb.
 
-    Parameters
-    ----------
+    arrays : (of, to). Arrays before and behind the gap.
     left, met : (m, 2) lengths
-        Where they leave array 1 and meet array 2, each relative to its cell.
-    order : (m, 2) ints
-        Cell met minus cell left; (0, 0) is the partner.
-
-    Returns
-    -------
-    (m,) array
-        0 … 1 of the way to array 2 where the wall is met; inf for rays that pass.
+        Where they leave the first array and meet the second, each relative to its cell.
+    order : (m, 2) ints. Cell met minus cell left; (0, 0) is the partner.
+    Returns (m,) array: 0 … 1 of the way to the second array where the wall is met; inf for rays that pass.
 
     Notes
     -----
-    In the frame that is sheared with the prisms a ray is a straight line from `left` to `met` plus the
-    order's displacement. The prism is the cell less half a wall on every border.
+    In the frame that is sheared with the channels a ray is a straight line from `left` to `met` plus the
+    order's displacement. At both ends a channel is the cell less half a wall on every border; its sides grow
+    evenly from one end to the other.
     """
     assert layout.window.baffle is not None
-    margin = 0.5 * layout.window.baffle.wall
-    target = less_steps(layout.lattice, met, -order)
-    first = np.full(len(left), np.inf)
-    for (ux, uy), half in zip(layout.normals[0], layout.halves, strict=True):
-        here = ux * left[:, 0] + uy * left[:, 1]
-        there = ux * target[:, 0] + uy * target[:, 1]
-        free = half - margin
-        with np.errstate(divide="ignore", invalid="ignore"):
-            exits = (np.copysign(free, there - here) - here) / (there - here)
-        hit = np.where(np.abs(here) > free, 0.0, np.where(np.abs(there) > free, exits, np.inf))
-        first = np.minimum(first, hit)
+    wall = layout.window.baffle.wall
+    before, behind = (layout.lattices[array] for array in arrays)
+    target = less_steps(behind, met, -order)
+    if before.turn or behind.turn:
+        ends = [section(layout.lattice, one, wall) for one in (before, behind)]
+        first = _through_twisted(layout, ends, left, target)
+    else:
+        first = np.full(len(left), np.inf)
+        halves = layout.widths[list(arrays)] - 0.5 * wall
+        for (ux, uy), free, last in zip(layout.normals[0], *halves, strict=True):
+            here = ux * left[:, 0] + uy * left[:, 1]
+            there = ux * target[:, 0] + uy * target[:, 1]
+            grows = (last - free) * np.copysign(1.0, there)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                exits = (np.copysign(free, there) - here) / (there - here - grows)
+            hit = np.where(np.abs(here) > free, 0.0, np.where(np.abs(there) > last, exits, np.inf))
+            first = np.minimum(first, hit)
     stray = (order != 0).any(axis=1) & ~np.isfinite(first)
     return np.where(stray, 1.0, first)
+
+
+def _through_twisted(layout: Layout, ends: Sequence[Floats], left: Floats, target: Floats) -> Floats:
+    """Fraction of the gap after which rays leave channels with sections `ends` (2, 2); inf if they do not.
+
+    A point p is inside the section A where |n · adj(A) p| ≤ h det A for every border of a cell, a quadratic
+    in the fraction of the gap.
+    """
+    room = []  # at the beginning, in the middle and at the end of the gap
+    for share in (0.0, 0.5, 1.0):
+        (a, b), (c, d) = ends[0] + share * (ends[1] - ends[0])
+        x, y = (left + share * (target - left)).T
+        across = layout.normals[0] @ np.stack([d * x - b * y, a * y - c * x])
+        free = layout.halves[:, None] * (a * d - b * c)
+        room.append(np.concatenate([free - across, free + across]))
+    start, middle, end = room
+    square = 2.0 * (start - 2.0 * middle + end)
+    slope = end - start - square
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = -0.5 * (slope + np.copysign(np.sqrt(slope * slope - 4.0 * square * start), slope))
+        exits = np.stack([root / square, start / root])
+    exits = np.where((exits > 0.0) & (exits <= 1.0), exits, np.inf)
+    return np.asarray(np.where(start < 0.0, 0.0, exits.min(axis=0)).min(axis=0))
 
 
 @dataclass(frozen=True)

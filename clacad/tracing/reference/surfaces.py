@@ -36,8 +36,6 @@ BEHIND = 8 * ULP
 def trace_surfaces(layout: Layout, ledger: Ledger, rows: Rows, media: Sequence[float]) -> None:
     """Trace the launched rays `rows` (k,) and write their rows of the ledger.
 
-    Parameters
-    ----------
     media : refractive index before the first face and behind each
     """
     for first in range(0, len(rows), BLOCK):
@@ -59,17 +57,11 @@ def trace_surfaces(layout: Layout, ledger: Ledger, rows: Rows, media: Sequence[f
 class StraightTrace:
     """A block of rays after the straight trace.
 
-    Attributes
-    ----------
-    good : (m,) bool
-        The trace holds; the other rays need the walk.
-    beam : Beam
-        On the last face, after it.
-    cells : list of (m, 2) ints
-        Cell of each structured face, in the order of the light.
+    good : (m,) bool. The trace holds; the other rays need the walk.
+    beam : On the last face, after it.
+    cells : list of (m, 2) ints. Cell of each structured face, in the order of the light.
     optical_path : (m,)
-    hits : list of Beam, one a face
-        On the face, after refraction.
+    hits : list of Beam, one a face. On the face, after refraction.
     """
 
     good: Bools
@@ -108,7 +100,7 @@ def in_cell(layout: Layout, media: Sequence[float], beam: Beam, carried: Floats)
     path = np.zeros(len(beam))
     cells: list[Ints] = []
     hits: list[Beam] = []
-    left = np.empty((0, 2))
+    left = beam
     gap = carried
     for b, body in enumerate(layout.bodies):
         around = (media[2 * b], media[2 * b + 1], media[2 * b + 2])
@@ -118,7 +110,7 @@ def in_cell(layout: Layout, media: Sequence[float], beam: Beam, carried: Floats)
                 np.zeros(len(beam)),
             )
         elif b:
-            left = beam.local
+            left = beam
             beam, gap = on_to(layout, beam, layout.bodies[b - 1], body)
         through = _columns if body.columnar else _sheets
         beam, lengths, ok, crossed, seen = through(layout, body, around, beam)
@@ -126,9 +118,9 @@ def in_cell(layout: Layout, media: Sequence[float], beam: Beam, carried: Floats)
         before = gap + lengths[0]
         if b == 0:
             good &= before >= -BEHIND * (np.abs(gap) + np.abs(lengths[0]))
-        elif layout.window.baffle is not None:
-            order = crossed[0] - cells[-1]
-            good &= np.isinf(honeycomb.reach(layout, left, seen[0].local, order))
+        elif not body.joined and layout.window.baffle is not None:
+            arrays, order = (left.array, seen[0].array), seen[0].cell - left.cell
+            good &= np.isinf(honeycomb.reach(layout, arrays, left.local, seen[0].local, order))
         path = path + before + around[1] * lengths[1]
         cells += crossed
         hits += seen
@@ -211,7 +203,7 @@ def _through(
     if within:
         good &= in_zone(layout, hit.local, layout.margin, beam.array)
     if not (face.whole or np.isnan(face.land) or isinstance(face, TiledFace)):
-        good &= (hit.z - face.land) * face.surface.side <= 0.0
+        good &= (hit.z - face.land) * face.land_side <= 0.0
     return replace(beam, local=hit.local, z=hit.z, direction=hit.direction), hit.distance, good
 
 

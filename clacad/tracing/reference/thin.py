@@ -33,19 +33,13 @@ BLOCK = 8192
 class ThinPatch:
     """The thin lens of one array.
 
-    Attributes
-    ----------
     array : 0, 1, or 2 and 3 of field lenses
-    vertex : (3,) lengths
-        Lens centre: x, y from the cell's centre, z from `level`.
+    vertex : (3,) lengths. Lens centre: x, y from the cell's centre, z from `level`.
     rotation : (3, 3), lens → sheet
     power : (1/f_x, 1/f_y)
-    level, low, high, box
-        Space that the patches and the surrounding land occupy, see `Extent`.
-    centre : (x, y)
-        Of the window's outline, sheet frame.
-    change : VertexChange or None
-        Offset of the lens of each cell from `vertex`, and its size.
+    level, low, high, box : Space that the patches and the surrounding land occupy, see `Extent`.
+    centre : (x, y). Of the window's outline, sheet frame.
+    change : Offset of the lens of each cell from `vertex`, and its size.
     """
 
     array: int
@@ -102,15 +96,11 @@ class ThinPatch:
 class Met:
     """What rays met in one array: a patch, a gap between two, nothing.
 
-    Attributes
-    ----------
-    beam : Beam
-        At the point met, in its cell.
+    beam : At the point met, in its cell.
     distance : (m,) lengths
     lens, land, `beside` : (m,) bool
         On the optical zone of a patch; between patches, on seam or border; outside the sheet.
-    solid : (m,) bool
-        Land with material: opaque land stops light there, a gap does not.
+    solid : (m,) bool. Land with material: opaque land stops light there, a gap does not.
     """
 
     beam: Beam
@@ -133,7 +123,7 @@ def trace_thin(layout: Layout, ledger: Ledger, rows: Rows) -> None:
 def thin_layout(layout: Layout) -> Layout:
     """Same window with the cells of array 2 and of field lenses at the positions of the thin pair."""
     pair = layout.window.thin
-    field = tuple(CellPlacement((float(x), float(y))) for x, y, _ in map(pair.field_centre, pair.field))
+    field = tuple(pair.field_place(lens, layout.lattice)[0] for lens in pair.field)
     window = replace(layout.window, placements=(CellPlacement(), pair.second, *field))
     return replace(layout, window=window, **array_numbers(layout.lattice, window.placements))
 
@@ -149,7 +139,13 @@ def thin_patches(layout: Layout) -> tuple[ThinPatch, ...]:
     return (
         _patch(layout, 0, (0.0, 0.0, 0.0), pair.focal_length[0], pair.change_1),
         *(
-            _patch(layout, 2 + k, (0.0, 0.0, float(pair.field_centre(lens)[2])), lens.focal_length)
+            _patch(
+                layout,
+                2 + k,
+                (0.0, 0.0, float(pair.field_centre(lens)[2])),
+                lens.focal_length,
+                pair.field_place(lens, layout.lattice)[1],
+            )
             for k, lens in enumerate(pair.field)
         ),
         _patch(layout, 1, second, pair.focal_length[1], pair.change),
@@ -169,11 +165,13 @@ def _patch(
     axis = pair.rotation[:, 2]
     tile = layout.lattices[array].tile() - np.array(vertex[:2])
     if change is not None:
-        moved = change.at(layout.lattice, extreme_cells(change, layout.lattice))
+        cells = extreme_cells(change, layout.lattice)
+        moved = change.at(layout.lattice, cells)
         tile = (tile[None] - moved[:, None]).reshape(-1, 2)
     heights = -(tile @ axis[:2]) / axis[2]
     if change is not None:  # a plane has no size
-        heights = heights + np.repeat(change.rise(moved), len(heights) // len(moved))
+        rise = change.rise(layout.lattice, cells, moved)
+        heights = heights + np.repeat(rise, len(heights) // len(moved))
     pad = 1e-9 * layout.lattice.circumradius
     f_x, f_y = focal_length
     return ThinPatch(
@@ -211,17 +209,11 @@ def _box(box: Box, outline: Outline | None, centre: Pair2) -> Box:
 class Passed:
     """m rays that passed lens 1, and possibly a field lens.
 
-    Attributes
-    ----------
-    one : Met
-        At lens 1.
-    beam : Beam
-        Behind the last lens.
+    one : At lens 1.
+    beam : Behind the last lens.
     path : (m,) lengths
-    land : (m,) bool
-        Land was passed.
-    odd : (m, 2) ints
-        Cell of the first field lens that differs from lens 1's cell; else lens 1's.
+    land : (m,) bool. Land was passed.
+    odd : (m, 2) ints. Cell of the first field lens that differs from lens 1's cell; else lens 1's.
     """
 
     one: Met
@@ -280,7 +272,9 @@ def _stopped(
 ) -> Bools:
     """End rays that a honeycomb stops before the array they meet, `length` (m,) on; return which (m,)."""
     start = gone.beam
-    share = honeycomb.reach(layout, start.local, met.beam.local, met.beam.cell - gone.one.beam.cell)
+    share = honeycomb.reach(
+        layout, (start.array, met.beam.array), start.local, met.beam.local, met.beam.cell - gone.one.beam.cell
+    )
     stopped = np.isfinite(share) | met.beside
     run = np.where(np.isfinite(share * length), share * length, 0.0)[stopped]
     at = _position(layout, left, start)[stopped] + run[:, None] * start.direction[stopped]

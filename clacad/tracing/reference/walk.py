@@ -35,21 +35,13 @@ crossings."""
 class Walkers:
     """Rays in the walk and their record so far.
 
-    Attributes
-    ----------
-    beam : Beam
-    path : (m,) lengths
-        Optical path from the start.
-    position : (m, 3) sheet frame
-        Last point met; the start before that.
+    path : (m,) lengths. Optical path from the start.
+    position : (m, 3) sheet frame. Last point met; the start before that.
     first, last, odd : (m, 2) ints
         Cell of the first structured face met, of the latest, and of the first that differed.
-    second : (m,) bool
-        A face of array 1 has been met.
-    ghost, land : (m,) bool
-        Lens faces of different telescopelets were crossed; land or a hole was crossed.
-    surface : (m,) ints
-        Last face met.
+    second : (m,) bool. A face of array 1 has been met.
+    ghost, land : (m,) bool. Lens faces of different telescopelets were crossed; land or a hole was crossed.
+    surface : (m,) ints. Last face met.
     """
 
     beam: Beam
@@ -99,8 +91,6 @@ class BodyWalk:
 def walk(layout: Layout, ledger: Ledger, media: Sequence[float], beam: Beam, carried: Floats) -> None:
     """Trace rays from the launch plane to their end and write their rows.
 
-    Parameters
-    ----------
     media : refractive index before the first face and behind each
     beam, carried
         From `launch`: m rays on the first body's reference plane, and their distances (m,) from the start.
@@ -345,7 +335,7 @@ def _stop_at_baffle(here: BodyWalk, walkers: Walkers, left: Walkers, event: Even
     array = here.body.arrays[0]
     met = event.starts[array] + event.distance[:, None] * walkers.beam.direction[:, :2]
     order = event.cells[array] - left.beam.cell
-    share = honeycomb.reach(here.layout, left.beam.local, met, order)
+    share = honeycomb.reach(here.layout, (left.beam.array, array), left.beam.local, met, order)
     blocked = np.isfinite(share)
     rows = np.flatnonzero(blocked)
     _vignette(here, left.take(rows), (gap + event.distance)[rows], share[rows])

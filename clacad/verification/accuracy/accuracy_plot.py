@@ -31,6 +31,9 @@ STYLE = {
 }
 """Colour and marker of each rung; vertex normals are drawn hollow."""
 
+FILE_SECONDS = (("write_s", "^", "write"), ("read_s", "v", "read"))
+"""Seconds of a file, their marker and what it means."""
+
 DOT, THIN, LETTER, TALL = 4.0, 1.5, 4.4, 8.0
 """Half a marker, half the room of a line, width of a letter and height of a label of 7 points, in points."""
 
@@ -54,11 +57,7 @@ Box = tuple[float, float, float, float]
 def plot_svg(table: AccuracyTable, target: float | None = None) -> str:
     """Picture of a table as SVG text; the same table gives the same text.
 
-    Parameters
-    ----------
-    table : AccuracyTable
-    target : float or None, radians
-        Error that is drawn as a line.
+    target : float or None, radians. Error that is drawn as a line.
     """
     style = {"svg.hashsalt": "clacad", "font.size": 9.0, "svg.fonttype": "path"}
     return drawn("svg", SIZE, lambda figure: draw(figure, table, target), style, placed=True).decode()
@@ -108,6 +107,14 @@ def _draw_seconds(axes: Any, table: AccuracyTable) -> None:
         (shown, "#444444", "-", "best of all settings"),
         ([r for r in shown if r.rung == "mesh"], "#e07b39", ":", "best of meshes"),
     )
+    for key, marker, verb in FILE_SECONDS:
+        unnamed = {"mesh": f"{verb} 5 x 5 cells, STL", "step": f"{verb} 5 x 5 cells, STEP"}
+        for row in [row for row in shown if getattr(row, key)]:
+            place, look = (
+                (getattr(row, key), 1e3 * row.model_rms),
+                {"color": STYLE[row.rung][0], "mfc": "white"},
+            )
+            axes.plot(*place, marker, ms=4.5, label=unnamed.pop(row.rung, None), **look)
     for rows, colour, line, name in fronts:
         best = pareto(rows)
         axes.plot(
@@ -120,11 +127,11 @@ def _draw_seconds(axes: Any, table: AccuracyTable) -> None:
             label=f"{name} ({len(best)})",
         )
     axes.margins(0.08, 0.06)
-    axes.set_xlabel(f"processor seconds for {count:,} rays (s)")
+    axes.set_xlabel(f"processor seconds for {count:,} rays, or for a file (s)")
     axes.set_title(
         "filled: facet normals; hollow: vertex normals; number: quads a cell side; pale: float32", fontsize=7
     )
-    axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=3, frameon=False)
+    axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
     named = [row for row in shown if row.float == "f64" or row.rung == "surfaces"]
     label_points(axes, [(_label(row), (count * row.seconds_per_ray, 1e3 * row.model_rms)) for row in named])
 

@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, field
 from math import isfinite
 from typing import TYPE_CHECKING, Any
 
+from clacad.base.interactive import Tabular, columns_of
 from clacad.base.text import mrad_text, plain, size_text
 
 if TYPE_CHECKING:
@@ -24,38 +25,27 @@ if TYPE_CHECKING:
 class AccuracyRow:
     """One rung at one setting.
 
-    Parameters
-    ----------
     rung : "law", "thin", "surfaces", "mesh" or "step"
-    setting : str
-        Text for a person: "16 quads, facet normals, float32 vertices".
-    model_rms, model_p95, model_max : float, radians
+    setting : Text for a person: "16 quads, facet normals, float32 vertices".
+    model_rms, model_p95, model_max : radians
         Angle to the truth, caused by what the rung leaves out. The truth is rung surfaces in float64; the row
         of that rung holds its angle to a 50-digit trace of `checked` rays.
-    law_rms, law_max : float, radians
-        Angle to the requested law.
-    disagree : float
-        Share of rays whose fate or order differs from the truth.
-    seconds : float
-        Processor seconds of the trace alone, best of 3, warm.
-    prepare_s : float
-        Processor seconds of tessellating, reading or compiling before the first ray.
-    rays : int
-        Rays traced.
-    checked : int
-        Number of rays in the two model errors.
-    bytes : int
-        Geometry the rung reads.
+    law_rms, law_max : radians. Angle to the requested law.
+    disagree : Share of rays whose fate or order differs from the truth.
+    seconds : Processor seconds of the trace alone, best of 3, warm.
+    prepare_s : Processor seconds of tessellating, reading or compiling before the first ray.
+    rays : Rays traced.
+    checked : Number of rays in the two model errors.
+    bytes : Geometry the rung reads.
     file_bytes : int or None
         Size of the file that holds this geometry for the whole sheet; None where there is no such file.
-    memory : int
-        Peak of arrays allocated by the trace, bytes.
-    triangles : int
-        Triangles of the whole sheet.
-    quads : int or None
-        Facets per cell side.
+    memory : Peak of arrays allocated by the trace, bytes.
+    triangles : Triangles of the whole sheet.
+    quads : Facets per cell side.
     normals : "facet", "vertex" or ""
     float : "f64" or "f32"
+    write_s, read_s : Processor seconds of writing the geometry of 5 x 5 cells to the row's file, and of
+        reading it back; STL for facets. Reading STEP includes loading its reader.
     own_cells : bool
         For a non-uniform sheet: whether the sheet itself was traced, not its worst cell's uniform equivalent.
     """
@@ -78,6 +68,8 @@ class AccuracyRow:
     triangles: int = 0
     quads: int | None = None
     normals: str = ""
+    write_s: float | None = None
+    read_s: float | None = None
     float: str = "f64"
     own_cells: bool = False
 
@@ -103,6 +95,35 @@ class AccuracyRow:
         return found
 
 
+@dataclass(frozen=True, slots=True)
+class SpectrumCost:
+    """One line against the spectrum: seconds and results of white light, traced and in closed form.
+
+    lines : Number of lines.
+    one_line_s, traced_s, closed_s : Processor seconds of one line, of all lines, and of their closed form.
+    change, closed_change : radians
+        Mean over the lines of the rms change of direction against the design's wavelength.
+    law_white : radians. Mean over the lines of the rms angle to the law.
+    """
+
+    lines: int
+    one_line_s: float
+    traced_s: float
+    closed_s: float
+    change: float
+    closed_change: float
+    law_white: float
+
+    def sentence(self) -> str:
+        """Cost and result in one sentence."""
+        return (
+            f"one line against the spectrum: {self.lines} lines take {self.traced_s:.2g} s,"
+            f" {self.traced_s / max(self.one_line_s, 1e-9):.2g} × one line, and leave"
+            f" {mrad_text(self.law_white, 3)} rms; light changes by {mrad_text(self.change, 3)} over them, by"
+            f" {mrad_text(self.closed_change, 3)} in closed form ({self.closed_s:.1g} s)"
+        )
+
+
 def pareto(rows: Sequence[AccuracyRow]) -> tuple[AccuracyRow, ...]:
     """Rows for which no other row is better in both error and seconds per ray, cheapest first."""
     front: list[AccuracyRow] = []
@@ -115,16 +136,20 @@ def pareto(rows: Sequence[AccuracyRow]) -> tuple[AccuracyRow, ...]:
 def conclusion(rows: Sequence[AccuracyRow], floors: Sequence[Floor] = ()) -> str:
     """Conclusion of the rows of a table in words; for a non-uniform sheet from the rows of the sheet itself.
 
-    Parameters
-    ----------
-    rows : sequence of AccuracyRow
-        Their errors (radians) and seconds are the only numbers used.
-    floors : sequence of Floor
-        Least error of each family of file formats.
+    rows : Their errors (radians) and seconds are the only numbers used.
+    floors : Least error of each family of file formats.
     """
     own = any(row.own_cells for row in rows)
     traced = [row for row in rows if row.own_cells == own and row.rung != "step"]
-    return " ".join(text for text in (_exact(traced), _mesh(traced), _files(rows, floors)) if text)
+    return " ".join(text for text in (_exact(traced), "".join(_mesh(traced)), _files(rows, floors)) if text)
+
+
+def headline(rows: Sequence[AccuracyRow]) -> str:
+    """Conclusion of the rows in one sentence: cost and error of exact faces, and whether a mesh pays."""
+    own = any(row.own_cells for row in rows)
+    traced = [row for row in rows if row.own_cells == own and row.rung != "step"]
+    exact, (mesh, _) = _exact(traced).removesuffix("."), _mesh(traced)
+    return f"{exact}; {mesh[0].lower()}{mesh[1:]}" if mesh else exact
 
 
 def _exact(rows: Sequence[AccuracyRow]) -> str:
@@ -139,11 +164,12 @@ def _exact(rows: Sequence[AccuracyRow]) -> str:
     return f"Exact faces {cost}are within {mrad_text(exact.model_rms, 2)} rms of a 50-digit trace."
 
 
-def _mesh(rows: Sequence[AccuracyRow]) -> str:
+def _mesh(rows: Sequence[AccuracyRow]) -> tuple[str, str]:
+    """Whether a mesh is worth tracing, and the rest of the sentence: its setting, seconds and error."""
     exact, meshes = _row(rows, "surfaces"), [row for row in rows if row.rung == "mesh"]
     known = [row for row in meshes if isfinite(row.model_rms)]
     if not known or exact is None or exact.seconds <= 0.0:
-        return ""
+        return "", ""
     worth = [row for row in pareto(rows) if row.rung == "mesh"]
     best = min(worth or known, key=lambda row: row.model_rms)
     what = f"{best.quads} quads a cell side with {best.normals} normals"
@@ -152,11 +178,9 @@ def _mesh(rows: Sequence[AccuracyRow]) -> str:
         f" {mrad_text(best.model_rms, 2)}"
     )
     if worth:
-        return f"A mesh is worth tracing for speed alone: {what} takes {cost}."
-    return (
-        f"No mesh is worth tracing, for each is beaten in both error and time: the most exact, {what}, takes"
-        f" {cost}."
-    )
+        return "A mesh is worth tracing for speed alone", f": {what} takes {cost}."
+    beaten = "for each is beaten in both error and time"
+    return "No mesh is worth tracing", f", {beaten}: the most exact, {what}, takes {cost}."
 
 
 def _files(rows: Sequence[AccuracyRow], floors: Sequence[Floor]) -> str:
@@ -191,18 +215,12 @@ class TargetOutOfReach(ValueError):
 
 
 @dataclass(frozen=True)
-class AccuracyTable:
+class AccuracyTable(Tabular):
     """Result of `clacad.accuracy`.
 
-    Parameters
-    ----------
-    design : str
-    rows : tuple of AccuracyRow
-    reference : mapping
-        The 50-digit check of the truth: rays, rms, max.
-    floors : tuple of Floor
-        Limit of useful refinement: for each family of file formats the best facet grid and its error.
-    notes : tuple of str
+    reference : The 50-digit check of the truth: rays, rms, max.
+    spectrum : Cost of white light; None where the design has no colour.
+    floors : Limit of useful refinement: for each family of file formats the best facet grid and its error.
     """
 
     design: str
@@ -212,9 +230,14 @@ class AccuracyTable:
     notes: tuple[str, ...] = ()
     target: float | None = None
     rays: int = field(default=0)
+    spectrum: SpectrumCost | None = None
 
     def __repr__(self) -> str:
         return f"AccuracyTable({self.design!r}, {len(self.rows)} settings, {self.rays} rays each)"
+
+    def to_columns(self) -> dict[str, Any]:
+        """One row for each setting, as in `to_dict`: errors in radians, processor seconds."""
+        return columns_of([row.to_dict() for row in self.rows])
 
     def cheapest(
         self, target: float, rays: int | None = None, rungs: Sequence[str] | None = None
@@ -222,18 +245,10 @@ class AccuracyTable:
         """Row with the least predicted seconds and `model_rms` within `target`; of the sheet itself if
         non-uniform.
 
-        Parameters
-        ----------
-        target : float, radians
-        rays : int or None
-            Number of rays to trace; default as in the table.
-        rungs : sequence of str or None
-            Only these rungs.
-
-        Raises
-        ------
-        TargetOutOfReach
-            The message names the closest row.
+        target : radians
+        rays : Number of rays to trace; default as in the table.
+        rungs : Only these rungs.
+        Raises TargetOutOfReach: The message names the closest row.
         """
         count = rays or max((row.rays for row in self.rows), default=1)
         own = any(row.own_cells for row in self.rows)
@@ -256,6 +271,11 @@ class AccuracyTable:
         """Conclusion of the measured rows in words."""
         return conclusion(self.rows, self.floors)
 
+    @property
+    def headline(self) -> str:
+        """Conclusion of the measured rows in one sentence."""
+        return headline(self.rows)
+
     def to_dict(self) -> dict[str, Any]:
         """JSON-able form."""
         return {
@@ -267,4 +287,5 @@ class AccuracyTable:
             "pareto": [self.rows.index(row) for row in self.pareto()],
             "floors": [plain(floor.to_dict()) for floor in self.floors],
             "notes": list(self.notes),
+            **({} if self.spectrum is None else {"spectrum": asdict(self.spectrum)}),
         }

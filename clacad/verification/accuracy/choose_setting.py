@@ -51,15 +51,10 @@ Normals = Literal["facet", "vertex"]
 class ChosenFacets:
     """The coarsest facets within a target.
 
-    Parameters
-    ----------
-    quads : int
-        Facets per cell side.
-    error : float, radians
-        Forecast rms direction error, the worst of the formats.
+    quads : Facets per cell side.
+    error : radians. Forecast rms direction error, the worst of the formats.
     normals : "facet" or "vertex"
-    formats : tuple of str
-        Formats for which the facets were chosen.
+    formats : Formats for which the facets were chosen.
     """
 
     quads: int
@@ -80,22 +75,12 @@ def facets_for(
 ) -> ChosenFacets | None:
     """Choose the coarsest facets with which every format is within a target; None if no format has facets.
 
-    Parameters
-    ----------
-    design, window
-        The bundle is that of the design's checks.
-    target : float, radians
-        Rms direction error to the exact surfaces.
-    formats : sequence of str
-        Words for `--format`; formats with exact surfaces, maps or masks are ignored.
-    normals : "facet" or "vertex"
-        Normals at which the reader of the file refracts.
-
-    Raises
-    ------
-    TargetOutOfReach
-        The target is below a format's floor, or needs too fine a mesh; the message names the floor and an
-        alternative.
+    design, window : The bundle is that of the design's checks.
+    target : radians. Rms direction error to the exact surfaces.
+    formats : Words for `--format`; formats with exact surfaces, maps or masks are ignored.
+    normals : "facet" or "vertex". Normals at which the reader of the file refracts.
+    Raises TargetOutOfReach: The target is below a format's floor, or needs too fine a mesh; the message names
+        the floor and an alternative.
     """
     asked = tuple(name for name in formats if format_of(name).chosen_by_error)
     if not asked:
@@ -221,18 +206,11 @@ STEP_ERROR = 1e-11
 class FileWithin:
     """A file within a target error.
 
-    Parameters
-    ----------
-    format : str
-        Word for `--format`.
-    quads : int or None
-        Facets per cell side; None: the exact faces.
-    error : float, radians
-        Forecast rms direction error to the exact surfaces.
-    bytes : int
-        Approximate size.
-    seconds : Span
-        Processor seconds of the export on this machine, as a wide range.
+    format : Word for `--format`.
+    quads : Facets per cell side; None: the exact faces.
+    error : radians. Forecast rms direction error to the exact surfaces.
+    bytes : Approximate size.
+    seconds : Processor seconds of the export on this machine, as a wide range.
     """
 
     format: str
@@ -274,19 +252,10 @@ class FileWithin:
 def files_within(design: Design, window: Window, floors: Sequence[Floor], target: float) -> list[FileWithin]:
     """Files whose light is within a target, the smallest first.
 
-    Parameters
-    ----------
-    design, window
-        The window has the cells that will be written.
-    floors : sequence of Floor
-        Of this design; see `file_floors.floors`.
-    target : float, radians
-        Rms direction error to the exact surfaces.
-
-    Raises
-    ------
-    TargetOutOfReach
-        No file of this design is within the target.
+    design, window : The window has the cells that will be written.
+    floors : Of this design; see `file_floors.floors`.
+    target : radians. Rms direction error to the exact surfaces.
+    Raises TargetOutOfReach: No file of this design is within the target.
     """
     found = [*_meshes(design, window, floors, target), *_step(design, window, target)]
     if not found:
@@ -326,7 +295,7 @@ def _meshes(design: Design, window: Window, floors: Sequence[Floor], target: flo
 def _step(design: Design, window: Window, target: float) -> list[FileWithin]:
     """The STEP file, where the bodies can be solids and its size is allowed."""
     from clacad.exporting.formats import step
-    from clacad.formats.step.step_mode import chosen_mode
+    from clacad.formats.step.part21 import chosen_mode
     from clacad.topology.complex_parts import CannotBuild
 
     if target < STEP_ERROR:

@@ -44,21 +44,11 @@ def direction_errors(
 ) -> Floats:
     """Angle between the exit directions of a kernel and those of the same rays in 50 digits.
 
-    Parameters
-    ----------
-    window : Window
-    position, direction : (n, 3)
-        Rays as launched, sheet frame.
-    found : (n, 3)
-        Exit directions of the kernel.
-    cell, order : (n, 2)
-        Lenslets the rays went through: lens 1, and lens 2 relative to it.
-
-    Returns
-    -------
-    (n,) array, radians
-        NaN for a ray that misses a face in exact arithmetic though the kernel found a hit: undecidable within
-        rounding.
+    position, direction : (n, 3). Rays as launched, sheet frame.
+    found : (n, 3). Exit directions of the kernel.
+    cell, order : (n, 2). Lenslets the rays went through: lens 1, and lens 2 relative to it.
+    Returns (n,) array, radians: NaN for a ray that misses a face in exact arithmetic though the kernel found
+        a hit: undecidable within rounding.
     """
     errors = np.full(len(position), np.nan)
     for k, error in _compared(_angle, window, position, direction, found, cell, order):
@@ -145,15 +135,11 @@ def _moved(window: Window, change: VertexChange, i: int, j: int) -> Vector:
     x, y, _ = _centre(window, i, j, 0)
     (xx, xy), (yx, yy) = ((Decimal(a), Decimal(b)) for a, b in change.gradient)
     moved = (xx * x + xy * y, yx * x + yy * y, Decimal(0))
-    if change.table is None:
-        return _risen(change, moved)
-    own = replace(change, gradient=((0.0, 0.0), (0.0, 0.0))).at(window.lattice, np.array([i, j]))
-    return _risen(change, _added(moved, (Decimal(float(own[0])), Decimal(float(own[1])), Decimal(0))))
-
-
-def _risen(change: VertexChange, moved: Vector) -> Vector:
-    along, across = (Decimal(s) for s in change.slope)
-    return moved[0], moved[1], along * moved[0] + across * moved[1]
+    if change.table is not None:
+        own = replace(change, gradient=((0.0, 0.0), (0.0, 0.0))).at(window.lattice, np.array([i, j]))
+        moved = _added(moved, (Decimal(float(own[0])), Decimal(float(own[1])), Decimal(0)))
+    along, across, climb_x, climb_y = (Decimal(s) for s in (*change.slope, *change.climb))
+    return moved[0], moved[1], along * moved[0] + across * moved[1] + climb_x * x + climb_y * y
 
 
 def _through(steps: Sequence[_Step], position: Vector, ray: Vector) -> Vector | None:

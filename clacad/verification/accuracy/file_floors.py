@@ -52,12 +52,7 @@ EXACT = Holding(kind="exact")
 def rounded(mesh: Mesh, cell: tuple[int, int], holding: Holding) -> Mesh:
     """Round the vertices of a mesh as a file in millimetres does, for one cell.
 
-    Parameters
-    ----------
-    mesh : Mesh
-    cell : (i, j)
-        Rounding of sheet coordinates depends on the position of a cell in the sheet.
-    holding : Holding
+    cell : (i, j). Rounding of sheet coordinates depends on the position of a cell in the sheet.
     """
     window = mesh.window
     bodies = [_held(window, *pair, cell, holding) for pair in zip(window.bodies, mesh.bodies, strict=True)]
@@ -147,15 +142,9 @@ NORMAL_F32 = 3e-8
 class Family:
     """Formats that store a part in one way.
 
-    Parameters
-    ----------
-    formats : str
-        Words for `--format`; those for which it is the first way come first.
-    holding : Holding or None
-        None: the surfaces themselves, or nothing optical.
-    normals : "facet", "vertex" or ""
-        Normals at which a reader refracts.
-    note : str
+    formats : Words for `--format`; those for which it is the first way come first.
+    holding : None: the surfaces themselves, or nothing optical.
+    normals : "facet", "vertex" or "". Normals at which a reader refracts.
     """
 
     formats: str
@@ -176,20 +165,12 @@ FAMILIES = tuple(map(_family, dict.fromkeys([*WAYS, *(way for one in formats() f
 class Floor:
     """Least error of a family of formats.
 
-    Parameters
-    ----------
-    formats, normals, note : str
-    float : str
-    a, b : float, radians
-        Error of facets a/m (vertex normals: a/m²), and of rounding b·m (vertex normals: b), at m quads per
-        cell side.
-    best_quads : float or None
-        Grid of the least error; None: finer is always better.
-    best_size : float or None, design lengths
-        Facet side on that grid.
+    a, b : float, radians. Error of facets a/m (vertex normals: a/m²), and of rounding b·m (vertex normals:
+        b), at m quads per cell side.
+    best_quads : float or None. Grid of the least error; None: finer is always better.
+    best_size : float or None, design lengths. Facet side on that grid.
     floor : float, radians
-    facets : float or None
-        Optical facets of the whole sheet on that grid.
+    facets : float or None. Optical facets of the whole sheet on that grid.
     confirmed : tuple of (quads, forecast, traced), radians
     """
 
@@ -231,12 +212,7 @@ class Floor:
 class Probe:
     """Traces of one bundle through meshes stored in several ways, each mesh built once.
 
-    Parameters
-    ----------
-    window : Window
-    rays : Rays
-    truth : TraceResult
-        The same rays through the exact surfaces.
+    truth : The same rays through the exact surfaces.
     """
 
     def __init__(self, window: Window, rays: Rays, truth: TraceResult) -> None:
@@ -288,11 +264,7 @@ def probe(window: Window, rays: Rays, truth: TraceResult) -> Probe:
 def floors(seen: Probe, confirm: bool = True) -> list[Floor]:
     """Floor of every family of formats.
 
-    Parameters
-    ----------
-    seen : Probe
-    confirm : bool
-        Whether the forecasts are traced too.
+    confirm : Whether the forecasts are traced too.
     """
     finest = CONFIRM if confirm else SMALL
     smooth = {

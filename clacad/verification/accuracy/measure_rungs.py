@@ -11,27 +11,34 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from clacad.base.machine_rates import seconds_of
 from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.base.units import millimetres
-from clacad.light.compare import AngleSummary
+from clacad.judging.file_light import lines_of
+from clacad.light.compare import AngleSummary, WhiteLight, closed_change
+from clacad.light.measure import first_rays, measure
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
+from clacad.sheet.bundle import Bundle, RequestedLaw
+from clacad.sheet.like_cell import in_light
 from clacad.sheet.window import Window
 from clacad.storage.atomic import scratch_folder
-from clacad.verification.accuracy.accuracy_row import AccuracyRow
+from clacad.verification.accuracy.accuracy_row import AccuracyRow, SpectrumCost
 from clacad.verification.accuracy.extended_precision import direction_errors
 
 if TYPE_CHECKING:
+    from clacad.design import Design
     from clacad.formats.step.rays_through_faces import Crossing
     from clacad.mesh import Mesh
     from clacad.storage.worker import Worker
     from clacad.tracing.facets.tiles import Normals
+    from clacad.tracing.worst_cell import SeenCell
 
 
+Timed = TypeVar("Timed")
 QUADS = (4, 8, 16, 32, 64, 128)
 """Tessellations of the ladder, quads per cell side."""
 OWN_FINEST = 32
@@ -47,12 +54,8 @@ SLOW = 1.0
 class TracedRays:
     """The rays with their truth and the requested directions.
 
-    window : Window
-    rays : Rays
-    truth : TraceResult
-        Rung surfaces, float64.
-    `asked` : (n, 3)
-        Exit directions of the law; NaN where it has no answer.
+    truth : Rung surfaces, float64.
+    `asked` : (n, 3). Exit directions of the law; NaN where it has no answer.
     """
 
     window: Window
@@ -69,7 +72,7 @@ class TracedRays:
         return cls(window, rays, trace(window, rays, path="numba"), law.refract(rays.direction))
 
 
-def timed(run: Callable[[], TraceResult], repeats: int = REPEATS) -> tuple[TraceResult, float, float]:
+def timed(run: Callable[[], Timed], repeats: int = REPEATS) -> tuple[Timed, float, float]:
     """Result, processor seconds (best of `repeats` warm runs), further seconds of the first (compiling)."""
     began = time.process_time()
     result = run()
@@ -151,6 +154,37 @@ def reference(ladder: TracedRays, count: int = ORACLE_RAYS) -> dict[str, float]:
         "undecided": float(len(error) - len(decided)),
         "digits": 50.0,
     }
+
+
+def spectrum_cost(design: Design, cell: SeenCell, lit: Bundle) -> SpectrumCost | None:
+    """Time a bundle in one line and in all lines of a design; None where it has no colour."""
+    lines, law = lines_of(design, cell.like), RequestedLaw.of(cell.like)
+    if not lines:
+        return None
+
+    def send(one: Bundle) -> TraceResult:
+        from clacad.tracing.trace import trace
+
+        return trace(cell.window, cell.placed(one).rays, path="numba")
+
+    each = [replace(lit, rays=Rays(lit.rays.position, lit.rays.direction, wave)) for wave in lines]
+    _, one_line, _ = timed(lambda: send(lit))
+    _, traced, _ = timed(lambda: [send(one) for one in each])
+    base, light = measure(send, lit, law), measure(send, lit, law, lines)
+    own = first_rays(base, ORACLE_RAYS)
+    closed, closed_seconds, _ = timed(
+        lambda: [closed_change(cell.like, in_light(cell.like, wave), own) for wave in lines]
+    )
+    white = WhiteLight(base, light, lines)
+    return SpectrumCost(
+        len(lines),
+        one_line,
+        traced,
+        closed_seconds,
+        white.mean(white.change),
+        white.mean(np.array(closed)),
+        white.mean(white.law_rms),
+    )
 
 
 def exact_rows(ladder: TracedRays, checked: dict[str, float]) -> list[AccuracyRow]:
@@ -274,7 +308,10 @@ def mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
             run = partial(trace, window, rays, rung="mesh", mesh=facets, normals=normals)
             setting = f"{quads} quads, {normals} normals" + (", float32 vertices" if kind == "f32" else "")
             measured = row(ladder, "mesh", setting, run, prepare)
-            file_bytes = stl_bytes(mesh.facet_count) if kind == "f32" and normals == "facet" else None
+            stored = kind == "f32" and normals == "facet"
+            if stored:
+                write_s, read_s = _stl_seconds(window, quads)
+                measured = replace(measured, write_s=write_s, read_s=read_s)
             rows.append(
                 replace(
                     measured,
@@ -283,10 +320,23 @@ def mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
                     float=kind,
                     triangles=mesh.facet_count,
                     bytes=_mesh_bytes(mesh) // (1 if kind == "f64" else 2),
-                    file_bytes=file_bytes,
+                    file_bytes=stl_bytes(mesh.facet_count) if stored else None,
                 )
             )
     return rows
+
+
+def _stl_seconds(window: Window, quads: int) -> tuple[float, float]:
+    """Processor seconds of writing the facets of the cells of a STEP spot as STL, and of reading them."""
+    from clacad.formats.mesh.stl import read_stl, write_stl
+    from clacad.mesh import tessellate
+
+    mesh = tessellate(window.with_cells((SPOT_CELLS, SPOT_CELLS)), quads=quads)
+    with scratch_folder() as folder:
+        path = folder / "cells.stl"
+        write = partial(write_stl, mesh.bodies, path, millimetres(window.unit), "cells")
+        write_s = timed(write, 1)[1]
+        return write_s, timed(lambda: sum(1 for _ in read_stl(path).chunks()), 0)[1]
 
 
 def _mesh_bytes(mesh: Mesh) -> int:
@@ -305,6 +355,7 @@ MOST_SENT = 20_000
 """Most rays traced: OCC traces about one thousand per second."""
 REACH = 2
 """Cells written on either side of the lit one; a ray that leaves them is not compared."""
+SPOT_CELLS = 2 * REACH + 1
 
 More = Callable[[int], TracedRays]
 """Returns a ladder with the given number of rays; the first of them are those of a smaller one."""
@@ -313,22 +364,14 @@ More = Callable[[int], TracedRays]
 def step_row(ladder: TracedRays, more: More | None = None) -> tuple[AccuracyRow | None, str]:
     """Write a few cells as STEP, read them back with OCC, and trace through the faces read.
 
-    Parameters
-    ----------
-    ladder : TracedRays
-    more : callable or None
-        Returns a larger ladder, where a ladder has fewer rays than the check needs.
-
-    Returns
-    -------
-    (AccuracyRow, "") or (None, reason why it could not be measured)
+    more : Returns a larger ladder, where a ladder has fewer rays than the check needs.
+    Returns (AccuracyRow, "") or (None, reason why it could not be measured).
     """
     from clacad.formats.step.step_files import write_step
     from clacad.storage.errors import ExportError
     from clacad.storage.worker import Worker
 
-    size = 2 * REACH + 1
-    small = ladder.window.with_cells((size, size))
+    small = ladder.window.with_cells((SPOT_CELLS, SPOT_CELLS))
     with scratch_folder() as folder, Worker() as worker:
         path = folder / "spot.step"
         began = time.process_time()
@@ -347,7 +390,7 @@ def step_row(ladder: TracedRays, more: More | None = None) -> tuple[AccuracyRow 
     numbers = statistics(spot.found[met], spot.truth[met], spot.asked[met])
     row = AccuracyRow(
         "step",
-        f"{rays} through the re-read faces of {size} x {size} cells",
+        f"{rays} through the re-read faces of {SPOT_CELLS} x {SPOT_CELLS} cells",
         *numbers,
         float(1.0 - met.mean()),
         spot.seconds,
@@ -356,6 +399,8 @@ def step_row(ladder: TracedRays, more: More | None = None) -> tuple[AccuracyRow 
         number,
         bytes=nbytes,
         file_bytes=nbytes,
+        write_s=prepare,
+        read_s=spot.reading,
     )
     return row, ""
 
@@ -364,8 +409,7 @@ def step_row(ladder: TracedRays, more: More | None = None) -> tuple[AccuracyRow 
 class Spot:
     """Directions (n, 3) through the file (NaN where not compared), through the surfaces, and by the law.
 
-    reading, seconds : float
-        Processor seconds of loading OCC and the file, and of all the rays.
+    reading, seconds : Processor seconds of loading OCC and the file, and of all the rays.
     """
 
     found: Floats

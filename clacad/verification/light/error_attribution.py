@@ -74,13 +74,10 @@ class ErrorPart:
     """One part of the error.
 
     name : str, one of `NAMES`
-    vector : (n, 3)
-        Difference of the directions of two neighbouring models, ray by ray.
-    rms, half, worst : float, radians
-        Of this part alone: rms, median, largest. A ray next to a triangle edge changes facets when the edge
-        moves a little, which gives a few large errors among many small ones.
-    share : float, radians
-        Contribution to the rms of the whole; negative where the part cancels some of the others.
+    vector : (n, 3). Difference of the directions of two neighbouring models, ray by ray.
+    rms, half, worst : radians. Of this part alone: rms, median, largest. A ray next to a triangle edge
+        changes facets when the edge moves a little, which gives a few large errors among many small ones.
+    share : radians. Contribution to the rms of the whole; negative where the part cancels some of the others.
     """
 
     name: str
@@ -100,16 +97,12 @@ class ErrorPart:
 class Attribution:
     """The error of some triangles, split into its parts.
 
-    about : str
-        The file, or the triangles that represent it.
+    about : The file, or the triangles that represent it.
     parts : tuple of five ErrorPart
-    whole : (n, 3)
-        Direction through the triangles minus the law's.
-    rms : float, radians
+    whole : (n, 3). Direction through the triangles minus the law's.
+    rms : radians
     cell : (i, j)
-    rays, used : int
-        Rays launched, and rays compared: those ALIVE in every model.
-    bundle : str
+    rays, used : Rays launched, and rays compared: those ALIVE in every model.
     """
 
     about: str
@@ -122,12 +115,7 @@ class Attribution:
     bundle: str
 
     def part(self, name: str) -> ErrorPart:
-        """Part with a given name.
-
-        Raises
-        ------
-        KeyError
-        """
+        """Part with a given name. Raises KeyError."""
         return {part.name: part for part in self.parts}[name]
 
     def to_dict(self) -> dict[str, Any]:
@@ -173,22 +161,11 @@ def attribute(
 ) -> Attribution | None:
     """Split the error of every ray of a bundle.
 
-    Parameters
-    ----------
-    design : Design
-        Gives the field and its middle.
-    window : Window
-    facets : FacetTraces
-        From `as_written` or `as_it_would_be_written`.
-    rays : int
-    aperture : float
-        Lit part of the cell, linear.
-    angle : float or None, radians
-        Half angle of the cone; default the design's field.
-
-    Returns
-    -------
-    Attribution, or None where no ray gets through every model.
+    design : Gives the field and its middle.
+    facets : From `as_written` or `as_it_would_be_written`.
+    aperture : Lit part of the cell, linear.
+    angle : float or None, radians. Half angle of the cone; default the design's field.
+    Returns Attribution, or None where no ray gets through every model.
     """
     spec = design.check
     cone = spec.field if angle is None else angle

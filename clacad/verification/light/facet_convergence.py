@@ -53,13 +53,10 @@ class Convergence:
     quads : (k,) ints
     direction : (k,) radians, rms
     fitted : (k,), relative error of the fitted eta
-    order_direction, order_fitted : float
-        Fitted exponents of the facet size.
-    masters : mapping
-        Format → the facets and bytes at which light through such a file meets the design's limits; empty if
-        none.
-    law_rms : float, radians
-        The rms limit of that light.
+    order_direction, order_fitted : Fitted exponents of the facet size.
+    masters : Format → the facets and bytes at which light through such a file meets the design's limits;
+        empty if none.
+    law_rms : radians. The rms limit of that light.
     """
 
     quads: Floats

@@ -46,15 +46,23 @@ WORTH_SAYING = 0.005
 
 
 def judge_light(
-    design: Design, window: Window, rays: int, point_rays: int = POINT_RAYS
+    design: Design,
+    window: Window,
+    rays: int,
+    point_rays: int = POINT_RAYS,
+    *,
+    judged_only: bool = False,
 ) -> tuple[list[Check], Optics]:
-    """Judge light through a window's exact surfaces by the limits of its design; rays as in `optics_of`."""
+    """Judge light through a window's exact surfaces by the limits of its design; rays as in `optics_of`.
+
+    judged_only : Whether numbers of other light are measured only where the design limits them: for trials.
+    """
     tried = tried_cells(window, design.check.field)
     seen = worst_of(tried, design.check.field)
     optics = optics_of(design, seen.like, seen.send, rays, point_rays)
     if len(tried) > 1:
         optics = fitted_over_all(optics, tried, design.check.field)
-    lit = Lit(design, window, seen.like, optics)
+    lit = Lit(design, window, seen.like, optics, seen, judged_only)
     of_cell = [_named(seen, check) for judge in found_by("light") for check in judge(lit)]
     return [*of_cell, *(check for judge in found_by("sheet") for check in judge(lit))], optics
 
@@ -70,6 +78,8 @@ def _named(seen: SeenCell, check: Check) -> Check:
         laws = seen.window.cell_laws
         words += ", each taken by its own eta" if laws is not None and laws.ratios is not None else ""
     words += f": {check.sentence}"
+    if check.kind is LAW_RMS and seen.others is not None:
+        words += f"; in the others {mrad_text(seen.others[0], unit='')} to {mrad_text(seen.others[1])}"
     return replace(check, sentence=words, detail={**check.detail, "cell": [i, j], "tried": seen.tried})
 
 

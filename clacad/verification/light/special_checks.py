@@ -1,35 +1,54 @@
-"""Checks of field lenses and of imaging sheets.
+"""Checks of field lenses, of imaging sheets, of white light and of temperature.
 
 A field lens lies at the foci, images lens 1 onto lens 2, fills the field and preserves the law. Light along
 the axis and through the middle of cell 1 is traced face by face through the window as built. The checks do
 not use how the faces were computed.
 
 An imaging sheet: where the image of the requested point lies, and how narrow it is there.
+
+White light and temperature: the law in every line, and what a wavelength or a kelvin changes, traced and in
+closed form. They are reported where each material has an index at the lines, and judged where the design
+states a limit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from math import hypot, inf, isfinite, sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.text import mrad_text
+from clacad.base.text import mrad_text, nm_text
 from clacad.base.types import Floats, Pair2
-from clacad.checks.check import Check
-from clacad.checks.light_kinds import FIELD_FOCUS, FIELD_LAW, FIELD_THROUGHPUT, IMAGE_POINT, PUPIL, SPOT
+from clacad.checks.check import Check, CheckKind
+from clacad.checks.light_kinds import (
+    COLOUR,
+    FIELD_FOCUS,
+    FIELD_LAW,
+    FIELD_THROUGHPUT,
+    IMAGE_POINT,
+    LAW_WHITE,
+    PUPIL,
+    SPOT,
+    TEMPERATURE,
+)
+from clacad.design.sections import KELVIN
 from clacad.imaging.image_by_rays import image, lens_plane
+from clacad.judging.file_light import WHITE_RAYS, lines_of
+from clacad.light.compare import WhiteLight, changed, closed_change, floor_of_one_material
 from clacad.light.confocality import axis_start, field_onto_axis
-from clacad.light.measure import Light, rms_of
+from clacad.light.measure import Light, first_rays, measure, rms_of
+from clacad.optics.law.focusing import cell_width
 from clacad.optics.law.imaging import spot_widths
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import STEP, Interface, trace_sequence
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
-from clacad.sheet.like_cell import interfaces
+from clacad.sheet.like_cell import heated, in_light, interfaces
 from clacad.sheet.vignetting import aperture_slope, half_field, share, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.trace import trace
+from clacad.tracing.worst_cell import SeenCell
 from clacad.verification.light.through_window import Lit
 
 if TYPE_CHECKING:
@@ -198,11 +217,19 @@ def asked_image(design: Design) -> tuple[tuple[float, float, float], float] | No
     if spec is not None and spec.conjugates is not None:
         planes = spec.conjugates
     if planes is not None:
-        return ((0.0, 0.0, planes.object), planes.image) if isfinite(planes.image) else None
+        return (_on_axis(design, planes.object), planes.image) if isfinite(planes.image) else None
     lengths = None if spec is None else spec.f_image
     if lengths is not None and lengths[0] == lengths[1] and isfinite(lengths[0]):
-        return (0.0, 0.0, -inf), lengths[0]
+        return _on_axis(design, -inf), lengths[0]
     return None
+
+
+def _on_axis(design: Design, along: float) -> tuple[float, float, float]:
+    """Point of the axis of the lenses, lengths; at −inf: parallel light, by its slopes."""
+    if design.law.theta == 0.0:
+        return 0.0, 0.0, along
+    x, y, z = design.law.rotation[:, 2].tolist()
+    return (x / z, y / z, along) if along == -inf else (x * along, y * along, z * along)
 
 
 def image_checks(lit: Lit) -> Iterator[Check]:
@@ -220,16 +247,20 @@ def image_checks(lit: Lit) -> Iterator[Check]:
         return
     place = one.found.point - (0.0, 0.0, lens_plane(window, "surfaces"))
     across = one.found.point[:2] - one.predicted.point[:2]
-    off = hypot(*across.tolist(), float(place[2]) - distance)
+    along = float(place[2])
+    if design.law.theta != 0.0:  # along the axis of the lenses
+        turn = design.law.rotation
+        along = float(one.found.point @ turn[:, 2]) - lens_plane(window, "surfaces") / float(turn[2, 2])
+        across = (one.found.point - one.predicted.point) @ turn[:, :2]
+    off = hypot(*across.tolist(), along - distance)
     text = f"{IMAGE_RAYS} Sobol rays over all cells, of which {one.found.rays} get through"
     unit = design.unit
-    width = found.width
-    assert width is not None  # an imaging design has no table
+    width = found.width or _width_on_axis(design, window, source, distance)
     limit = max(*width, NEAR * abs(distance))
     yield IMAGE_POINT.judge(
         off,
         limit,
-        f"light of the requested point meets {place[2]:.6g} {unit} behind array 2 at ({place[0]:.3g},"
+        f"light of the requested point meets {along:.6g} {unit} behind array 2 at ({place[0]:.3g},"
         f" {place[1]:.3g}), {off:.3g} {unit} from where the law has it ({distance:.6g})",
         unit=unit,
         bundle=text,
@@ -248,6 +279,19 @@ def image_checks(lit: Lit) -> Iterator[Check]:
     )
 
 
+def _width_on_axis(
+    design: Design, window: Window, source: tuple[float, float, float], distance: float
+) -> Pair2:
+    """Full width along the lens axes of an image by tilted lenses, whose laws are a table."""
+    planes = (source[2] / float(window.law.rotation[2, 2]), distance)
+    first, second = window.thin.focal_length
+    x, y = (
+        cell_width((f1, f2), window.thin.separation, planes, p)
+        for f1, f2, p in zip(first, second, window.lattice.pitch, strict=True)
+    )
+    return x, y
+
+
 def _allowed(design: Design, window: Window, width: Pair2, distance: float) -> Pair2:
     """Largest rms width of the image along x and y (lengths) within the limits of the design."""
     waves = design.pair.wavelength / design.unit_m
@@ -257,3 +301,105 @@ def _allowed(design: Design, window: Window, width: Pair2, distance: float) -> P
         for w, d in zip(width, wave, strict=True)
     )
     return x, y
+
+
+def white_checks(lit: Lit) -> Iterator[Check]:
+    """Report or judge the law in white light, the change over its lines, and that over temperature."""
+    if lit.cell is None:
+        return
+    limits, light = lit.design.check, lit.design.light
+    base = first_rays(lit.optics.main, WHITE_RAYS)
+    lines = {} if lit.judged_only and limits.law_white is None else lines_of(lit.design, lit.like)
+    if lines:
+        yield from _white(lit, lit.cell, base, lines)
+    told = not lit.judged_only and (lines or light.temperature is not None)
+    if told or limits.temperature is not None:
+        yield _temperature(lit, lit.cell, base)
+
+
+def _white(lit: Lit, cell: SeenCell, base: Light, lines: dict[float, float]) -> Iterator[Check]:
+    white = WhiteLight(base, measure(cell, base.lit, base.law, lines), lines)
+    closed = np.array([closed_change(lit.like, in_light(lit.like, wave), base) for wave in lines])
+    floor = floor_of_one_material(lit.like, white)
+    value, sources = white.mean(white.law_rms), sources_of(lit.like)
+    each = ", ".join(f"{mrad_text(v, unit='')} at {nm_text(w)}" for w, v in zip(lines, white.law_rms))
+    sentence = (
+        f"white light leaves {mrad_text(value)} rms from the law, mean of {len(lines)} lines ({each} mrad)"
+    )
+    if floor == floor:
+        sentence += f"; no faces of one material reach less than {mrad_text(floor)}"
+    detail = {
+        "lines": _by_line(white, closed),
+        "rms": white.light.rms,
+        "floor": floor,
+        "sources": sources,
+    }
+    sentence += f"; index by {'; '.join(sources.values())}"
+    yield _judged(LAW_WHITE, value, lit.design.check.law_white, sentence, base, detail)
+    change = white.mean(white.change)
+    own = nm_text(lit.like.wavelength or 0.0)
+    sentence = (
+        f"its direction changes by {mrad_text(change)} rms against {own}, mean of the lines (closed form"
+        f" {mrad_text(white.mean(closed))}; index by {', '.join(sources)} as above)"
+    )
+    yield _judged(COLOUR, change, None, sentence, base, detail | {"closed_form": white.mean(closed)})
+
+
+def _by_line(white: WhiteLight, closed: Floats) -> list[dict[str, float]]:
+    return [
+        {
+            "wavelength": wave,
+            "weight": weight,
+            "law_rms": float(white.law_rms[k]),
+            "change": float(white.change[k]),
+            "closed_form": float(closed[k]),
+            "share": white.light.lines[k].share,
+        }
+        for k, (wave, weight) in enumerate(white.lines.items())
+    ]
+
+
+def _temperature(lit: Lit, cell: SeenCell, base: Light) -> Check:
+    kelvin, limit = lit.design.light.temperature or KELVIN, lit.design.check.temperature
+    try:
+        rows = [_at(lit, cell, base, way * kelvin) for way in (-1.0, 1.0)]
+    except ValueError as error:
+        return TEMPERATURE.not_run(
+            f"not known: {error}", limit=limit, required=limit is not None, where=TEMPERATURE.where
+        )
+    worst = max(rows, key=lambda row: row["change"])
+    each = ", ".join(f"{mrad_text(row['law_rms'], unit='')} at {row['kelvin']:+g} K" for row in rows)
+    sentence = (
+        f"{kelvin:g} K change the direction by {mrad_text(worst['change'])} rms (closed form"
+        f" {mrad_text(worst['closed_form'])}); light then leaves {each} mrad rms from the law"
+    )
+    return _judged(TEMPERATURE, worst["change"], limit, sentence, base, {"rows": rows})
+
+
+def _at(lit: Lit, cell: SeenCell, base: Light, kelvin: float) -> dict[str, float]:
+    """Law error, change and its closed form (radians) at another temperature."""
+    light = measure(cell.heated(kelvin), base.lit, base.law, fewest=base.fewest)
+    closed = closed_change(lit.like, heated(lit.like, kelvin), base)
+    return {"kelvin": kelvin, "law_rms": light.rms, "change": changed(base, light), "closed_form": closed}
+
+
+def _judged(
+    kind: CheckKind, value: float, limit: float | None, sentence: str, base: Light, detail: dict[str, Any]
+) -> Check:
+    """The check against its limit; without one it is reported and passes."""
+    given: dict[str, Any] = {"bundle": str(base.lit), "detail": detail, "required": limit is not None}
+    if limit is not None or value != value:
+        return kind.judge(value, limit or np.nan, sentence, **given)
+    return kind.check("pass", sentence, value, **given)
+
+
+def sources_of(window: Window) -> dict[str, str]:
+    """Material → source of its index."""
+    materials = [body.material for body in window.bodies if body.material is not None]
+    return {one.name: one.source.split(",")[0] + _year(one.source) for one in materials}
+
+
+def _year(source: str) -> str:
+    """The year of a source, with a blank before it; "" where it has none."""
+    words = source.replace("(", " ").replace(")", " ").replace(";", " ").replace("-", " ").split()
+    return next((f" {word}" for word in words if word.isdigit() and 1900 <= int(word) <= 2100), "")

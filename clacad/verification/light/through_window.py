@@ -37,16 +37,11 @@ POINT_RAYS = 4096
 class Optics:
     """Results of all measurements with light on one object (exact surfaces, or a file's triangles).
 
-    main : Light
-        Over the cell and the cone of the field.
-    points : tuple of Light
-        Parallel light over the whole cell, from the middle of the field and eight directions of its rim.
-    closed_form : (9,)
-        Share of light of each of these directions, in closed form.
-    narrow : Light
-        Of the bundle on which η and δ are fitted.
-    turn : Turn or None
-        Turn of the lens meridians about the lens axis; None where no law could be fitted.
+    main : Over the cell and the cone of the field.
+    points : Parallel light over the whole cell, from the middle of the field and eight directions of its rim.
+    closed_form : (9,). Share of light of each of these directions, in closed form.
+    narrow : Of the bundle on which η and δ are fitted.
+    turn : Turn of the lens meridians about the lens axis; None where no law could be fitted.
     """
 
     main: Light
@@ -60,11 +55,9 @@ class Optics:
 class Turn:
     """Turn of the lens meridians about the lens axis relative to the requested ones, measured with light.
 
-    angle : radians
-        In (−π/2, π/2]; positive means φ is larger than requested.
-    doubt : radians
-        Turn that the light unexplained by the fit could cause; infinite where η is the same in both
-        meridians.
+    angle : radians. In (−π/2, π/2]; positive means φ is larger than requested.
+    doubt : radians. Turn that the light unexplained by the fit could cause; infinite where η is the same in
+        both meridians.
     """
 
     angle: float
@@ -74,17 +67,10 @@ class Turn:
 def optics_of(design: Design, window: Window, send: Send, rays: int, point_rays: int = POINT_RAYS) -> Optics:
     """Send the bundles of the checks through one object and measure their light.
 
-    Parameters
-    ----------
-    design : Design
-        Gives the field and its middle.
-    window : Window
-    send : callable
-        Bundle → TraceResult.
-    rays : int
-        Rays of the main bundle; the fit takes a quarter.
-    point_rays : int
-        Rays of each of the nine field points.
+    design : Gives the field and its middle.
+    send : Bundle → TraceResult.
+    rays : Rays of the main bundle; the fit takes a quarter.
+    point_rays : Rays of each of the nine field points.
     """
     spec, law = design.check, RequestedLaw.of(window)
     main = measure(send, bundle(window, rays, spec.field, spec.field_centre), law)
@@ -104,12 +90,10 @@ def turn_of(light: Light) -> Turn | None:
 
     Notes
     -----
-    In the lens frame the law is affine in slopes, t' = J t + b; lenses turned by α about their axis have
-    J = ½(1/η_x + 1/η_y) + ½(1/η_x − 1/η_y) [cos 2α, sin 2α; sin 2α, −cos 2α]. A turn α is therefore visible
-    in
+    In the lens frame the law is affine in slopes, t' = J t + b; lenses turned by α about their axis have J =
+    ½(1/η_x + 1/η_y) + ½(1/η_x − 1/η_y) [cos 2α, sin 2α; sin 2α, −cos 2α]. A turn α is therefore visible in
     first order. A lean of the axis is not: it shifts b alone, as δ does. Only squared slopes separate lean
-    and δ,
-    and aberration hides those.
+    and δ, and aberration hides those.
     """
     if light.fit is None:
         return None
@@ -131,19 +115,19 @@ def turn_of(light: Light) -> Turn | None:
 class Lit:
     """Light through a window, to be judged: what every function of these checks takes.
 
-    design : Design
-        Gives the limits.
-    window : Window
-        The whole sheet.
-    like : Window
-        Uniform equivalent of the cell whose light was measured.
-    optics : Optics
+    design : Gives the limits.
+    window : The whole sheet.
+    like : Uniform equivalent of the cell whose light was measured.
+    cell : The cell whose light was measured; without it white light is not measured.
+    judged_only : Whether white light and temperature are measured only where the design limits them.
     """
 
     design: Design
     window: Window
     like: Window
     optics: Optics
+    cell: SeenCell | None = None
+    judged_only: bool = False
 
 
 def fitted_over_all(optics: Optics, tried: list[SeenCell], field: float) -> Optics:

@@ -52,14 +52,10 @@ FARTHEST = 1000.0
 class Viewed:
     """The share of one viewer's light that obeys the law.
 
-    Attributes
-    ----------
-    viewer : (x, y, z), lengths
-        Sheet frame.
+    viewer : (x, y, z), lengths. Sheet frame.
     traced, thin : float
         Mean over the sheet: ALIVE rays over all rays that enter a cell, and the closed form of thin lenses.
-    position : (n, 2) lengths
-        Where each ray crosses z = 0.
+    position : (n, 2) lengths. Where each ray crosses z = 0.
     alive : (n,) bool
     """
 
@@ -82,13 +78,9 @@ def viewer_of(design: Design) -> tuple[float, float, float]:
 def viewed(window: Window, viewer: tuple[float, float, float], rays: int = RAYS) -> Viewed:
     """Trace light of a viewer through a whole sheet.
 
-    Parameters
-    ----------
-    window : Window
     viewer : (x, y, z), lengths
         Sheet frame; light starts there if z < 0 (before the sheet), and goes towards it if z > 0.
-    rays : int
-        Sobol points over all cells; fewer where an outline omits cells, but at least a quarter.
+    rays : Sobol points over all cells; fewer where an outline omits cells, but at least a quarter.
     """
     points = sobol(rays, 4)
     cells, kept = _kept_cells(window, points[:, :2])
@@ -227,12 +219,7 @@ def name_remedies(checks: Iterable[Check], design: Design, window: Window) -> li
 
     A key is named only if the changed design can be built and fails no check that the design passes.
 
-    Parameters
-    ----------
-    checks : iterable of Check
-        All checks of the design, those by light and the design rules.
-    design : Design
-    window : Window
+    checks : All checks of the design, those by light and the design rules.
     """
     checks = list(checks)
     return [
@@ -288,7 +275,7 @@ def _fails_no_more(design: Design, changes: dict[str, Any], failing: frozenset[t
         rules = design_checks(changed, window, feasibility(window, *changed.viewing_places), solved=False)
         if not _failing(rules, changed) <= failing:
             return False
-        light, _ = judge_light(changed, window, *JUDGED_RAYS)
+        light, _ = judge_light(changed, window, *JUDGED_RAYS, judged_only=True)
     except (DesignError, NoSuchLens):
         return False
     return _failing(light, changed) <= failing

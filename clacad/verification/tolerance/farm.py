@@ -16,6 +16,7 @@ import json
 import logging
 import os
 import signal
+import sys
 import threading
 import warnings
 from collections import deque
@@ -29,7 +30,7 @@ from math import inf, isnan, nan
 from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
 from time import monotonic
-from types import TracebackType
+from types import ModuleType, TracebackType
 from typing import Any, Protocol, cast
 
 from clacad import __version__
@@ -125,11 +126,11 @@ def told(work: Work, study: str, piece: Any) -> tuple[str, list[Any]]:
 def _on_cores(count: int, work: Work, study: str, pieces: Sequence[Any]) -> Iterator[list[Any]]:
     """Results of all pieces, in their order, from `count` processes of this machine."""
     others = {process.pid for process in active_children()}
-    with safe_children():  # the pool starts a process that tracks semaphores
+    with safe_children(), _no_script():  # the pool starts a process that tracks semaphores
         pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_settle)
 
     def submitted(piece: Any) -> Future[Any]:
-        with safe_children():  # the pool starts workers when it gets work
+        with safe_children(), _no_script():  # the pool starts workers when it gets work
             return pool.submit(told, work, study, piece)
 
     done = False
@@ -144,6 +145,20 @@ def _on_cores(count: int, work: Work, study: str, pieces: Sequence[Any]) -> Iter
                 if process.pid not in others:
                     process.kill()
         pool.shutdown(wait=done)
+
+
+@contextmanager
+def _no_script() -> Iterator[None]:
+    """Within the block, new processes do not import the caller's script, which would run it again.
+
+    Workers need only functions of the package, so that a script needs no ``if __name__ == "__main__"``.
+    """
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
 
 
 def _settle() -> None:
@@ -208,11 +223,8 @@ def _hushed() -> Iterator[None]:
 def _awaited(promise: _Promise, client: _Client, address: str) -> Any:
     """Wait for a result of a cluster; errors of the work itself propagate unchanged.
 
-    Raises
-    ------
-    WorkersLost
-        The scheduler disconnected, no worker was left for `PATIENCE`, or the piece ended every worker that
-        ran it.
+    Raises WorkersLost: The scheduler disconnected, no worker was left for `PATIENCE`, or the piece ended
+        every worker that ran it.
     """
     from distributed import KilledWorker
 

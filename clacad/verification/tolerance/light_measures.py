@@ -7,8 +7,8 @@ slip, moiré period
     1 (the change per decentre is traced too). The moiré pattern repeats where the slip reaches one pitch:
     Hutley, Hunt, Stevens, Savander, Pure Appl. Opt. 3, 133 (1994).
 residual power
-    Convergence: minus the change of exit slope with entrance height of parabasal rays about that ray, 0 for
-    an afocal pair. In dioptres.
+    Convergence: minus the change of exit slope with entrance height of parabasal rays about that ray, less
+    the power of a requested focus: 0 for an afocal pair. In dioptres.
 blur
     Rms spread of the exit directions of parallel light over a cell.
 throughput
@@ -18,25 +18,30 @@ law_rms, law_bias, eta, delta, kept
     law_rms and law_bias are those of the worst of the traced cells, the middle one and the farthest ones.
 law_rms_x, law_rms_y
     Centre of the cell with that law_rms.
+law_white, colour, temperature
+    Defined as in the checks of the same names, of the worst of the traced cells; for designs that state them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import hypot
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.design.sections import KELVIN
 from clacad.effects.scatter import haze
-from clacad.light.measure import FIT_SCALE, Light, Send, measure_each
+from clacad.light.compare import WhiteLight, changed
+from clacad.light.measure import FIT_SCALE, Light, Send, measure, measure_each
 from clacad.optics.law import Law, difference_of_laws
-from clacad.optics.rays import Rays
+from clacad.optics.rays import Rays, TraceResult
 from clacad.optics.sequence import STEP
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, field_about, middle_direction
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
+from clacad.sheet.like_cell import heated, lit_by
 from clacad.sheet.representative_cells import places_of_errors
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Window
@@ -88,6 +93,18 @@ MEASURES: Mapping[str, str] = {
 """Name and unit of each measure. Those with an axis are signed and, for small errors, linear; the others are
 derived."""
 
+STATED: Mapping[str, str] = {"law_white": "rad", "colour": "rad", "temperature": "rad"}
+"""Measures of a design that states its light, or a limit for it."""
+
+
+def measures_of(design: Design) -> dict[str, str]:
+    """Name and unit of each measure of a design's sheets."""
+    light, check = design.light, design.check
+    white = light.spectrum is not None or check.law_white is not None
+    warm = light.temperature is not None or check.temperature is not None
+    stated = {name: unit for name, unit in STATED.items() if (warm if name == "temperature" else white)}
+    return {**MEASURES, **stated}
+
 
 @dataclass(frozen=True, eq=False)
 class Bench:
@@ -107,6 +124,8 @@ class Bench:
     closed_form : float
         Share of the field's light that thin lenses keep.
     wavelength : float, metres
+    lines : mapping of metres to weight. Lines of white light; empty where none are stated.
+    kelvin : Change of temperature, up and down; 0 where none is stated.
     """
 
     window: Window
@@ -117,11 +136,14 @@ class Bench:
     per_decentre: Floats
     closed_form: float
     wavelength: float
+    lines: Mapping[float, float] = field(default_factory=dict)
+    kelvin: float = 0.0
 
     def measured(self, errors: Errors) -> dict[str, float]:
         """All measures of the sheet made with these errors; NaN where too little light is transmitted."""
         found = self._chief_measures(errors)
         spread, share_, rms, bias = [], [], [], []
+        stated: list[dict[str, float]] = []
         clear = 1.0 - self._haze(errors)
         for number, place in enumerate(self.places):
             light = self.light(errors, place)
@@ -129,10 +151,12 @@ class Bench:
             share_.append(light["cone"].share * clear)
             rms.append(light["cone"].rms)
             bias.append(_worst([one.bias for name, one in light.items() if name.startswith("beam")]))
+            stated.append(self._stated(errors, place, light["cone"]))
             if number == 0:
                 found |= self._fitted(light["narrow"].fitted)
         kept = min(share_)
         x, y = self.window.unit * self.places[_first_worst(rms)]
+        found |= {name: _worst([one[name] for one in stated]) for name in stated[0]}
         return found | {
             "blur": _worst(spread),
             "throughput": kept,
@@ -152,11 +176,33 @@ class Bench:
             for name, one in zip(self.bundles, seen, strict=True)
         }
 
-    def _sender(self, errors: Errors, place: Floats | None = None) -> Send:
+    def _stated(self, errors: Errors, place: Floats, cone: Light) -> dict[str, float]:
+        """Measures of white light and temperature of one cell, from its light at the design's wavelength."""
+        found: dict[str, float] = {}
+        if self.lines:
+            light = measure(self._sender(errors, place), cone.lit, self.law, self.lines, fewest=cone.fewest)
+            white = WhiteLight(cone, light, self.lines)
+            found |= {"law_white": white.mean(white.law_rms), "colour": white.mean(white.change)}
+        if self.kelvin:
+            ends = [
+                Light(cone.lit, self._sender(errors, place, heated(self.window, hot))(cone.lit), self.law)
+                for hot in (-self.kelvin, self.kelvin)
+            ]
+            found["temperature"] = max(changed(cone, one) for one in ends)
+        return found
+
+    def _sender(self, errors: Errors, place: Floats | None = None, window: Window | None = None) -> Send:
         """Sender through one cell, over cell 1 at its actual position: the light covers the whole sheet."""
-        cell = telescopelet(self.window, errors, place)
+        sheet = self.window if window is None else window
+        cell = telescopelet(sheet, errors, place)
         aside = np.array([errors.get("decentre.1.x", 0.0), errors.get("decentre.1.y", 0.0), 0.0])
-        return lambda lit: cell.send(Rays(lit.rays.position + aside, lit.rays.direction))
+
+        def send(lit: Bundle) -> TraceResult:
+            line = lit.rays.wavelength
+            through = cell if line is None else telescopelet(lit_by(sheet, lit.rays), errors, place)
+            return through.send(Rays(lit.rays.position + aside, lit.rays.direction))
+
+        return send
 
     def _haze(self, errors: Errors) -> float:
         rough = errors.get("roughness", 0.0) * self.window.unit
@@ -176,6 +222,8 @@ class Bench:
         shift = here[0] - self.chief
         size = STEP * window.lattice.circumradius
         power = -np.stack([here[1] - here[2], here[3] - here[4]], axis=1) / (2.0 * size * unit)
+        if self.law.power is not None:
+            power = power - np.diag(self.law.power) / unit
         step = np.array(window.lattice.pitch)
         across = np.stack(
             [
@@ -236,6 +284,8 @@ def bench(
         np.eye(2),
         kept,
         window.wavelength or DEFAULT_WAVELENGTH,
+        design.light.lines if "law_white" in measures_of(design) else {},
+        (design.light.temperature or KELVIN) if "temperature" in measures_of(design) else 0.0,
     )
     return replace(blank, chief=blank.chief_slopes({})[0], per_decentre=_per_decentre(blank))
 

@@ -58,13 +58,10 @@ class Motion:
 class Telescopelet:
     """Faces of one telescopelet as made, relative to the nominal centre of its cell 1.
 
-    window : Window
-        The window as made (radii, indices, thicknesses); gives the cells.
-    seq : list of Interface
+    window : The window as made (radii, indices, thicknesses); gives the cells.
     faces : list of (Face, array, Motion)
         For each interface: the design's face, the array it moves with, and the motion of that array.
-    centre : (2,) lengths
-        Nominal centre of cell 1 in the sheet.
+    centre : (2,) lengths. Nominal centre of cell 1 in the sheet.
     """
 
     window: Window
@@ -91,7 +88,7 @@ class Telescopelet:
             x, y = (before[:, :2] - self.window.shifts[array]).T
             good &= in_optical_tile(self.window, x, y)
             if face.land is not None:
-                good &= face.side * (face.land - before[:, 2]) >= 0.0
+                good &= face.land_side * (face.land - before[:, 2]) >= 0.0
         return replace(
             result,
             direction=np.where(through[:, None], result.direction, np.nan),
@@ -113,9 +110,10 @@ def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -
     """
     at = np.zeros(2) if centre is None else np.asarray(centre, dtype=np.float64)
     made = as_made(window, errors)
-    motions = (_first(errors), _second(made, errors), _field(errors))
     seq, faces = [], []
     plates = plates_of(made.bodies)
+    between = [_between(made, errors, number) for number in range(1, max(2, len(plates) - 1))]
+    motions = (_first(errors), _second(made, errors), *between)
     plate_of = [number for number, plate in enumerate(plates) for _ in plate]
     for body, face, before, after in refractions(made.bodies):
         array = body.arrays[0] if face.array is None else face.array
@@ -131,10 +129,10 @@ def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -
 
 
 def _moves_with(number: int, plates: int) -> int:
-    """Number (0, 1 or 2) of the array that moves a plate: array 1, array 2, or that of the plates between."""
+    """Number of the motion of a plate: 0 of the first, 1 of the last, from 2 on of those between."""
     if number == 0:
         return 0
-    return 1 if number == plates - 1 else 2
+    return 1 if number == plates - 1 else number + 1
 
 
 def _baffled(window: Window) -> Window:
@@ -148,7 +146,7 @@ def as_made(window: Window, errors: Errors) -> Window:
     """The window with its radii, indices and thicknesses as made."""
     bodies: list[Body] = []
     parts = {id(face): part for _, part, face in _curved(window)}
-    risen = 0.0  # of listed plates: all that lies behind a thicker body moves away
+    risen, gap = 0.0, 0  # of listed plates: all that lies behind a thicker body or gap moves away
     for number, body in enumerate(window.bodies, 1):
         front, back = (
             replace(face, surface=grown(face.surface, errors.get(f"radius.{parts.get(id(face), '')}", 0.0)))
@@ -160,6 +158,8 @@ def as_made(window: Window, errors: Errors) -> Window:
         change = errors.get(f"thickness.{number}", 0.0)
         if window.form == "plates":
             if not body.joined:
+                risen += errors.get(f"gap.{gap}", 0.0)
+                gap += 1
                 made = replace(made, front=_risen(front, risen))
             risen += change
             made = replace(made, back=_risen(back, risen))
@@ -197,10 +197,16 @@ def _first(errors: Errors) -> Motion:
     return Motion(np.eye(3), shift, np.zeros(3))
 
 
-def _field(errors: Errors) -> Motion:
-    """Motion of the plate of a field lens: decentred."""
-    shift = np.array([errors.get("decentre.3.x", 0.0), errors.get("decentre.3.y", 0.0), 0.0])
-    return Motion(np.eye(3), shift, np.zeros(3))
+def _between(window: Window, errors: Errors, number: int) -> Motion:
+    """Motion of a plate between the first and the last, number 1, 2 …: decentred, turned and tilted."""
+    name = number + 2
+    shift = np.array([errors.get(f"decentre.{name}.{axis}", 0.0) for axis in "xy"] + [0.0])
+    turns = [errors.get(f"tilt.{name}.{axis}", 0.0) for axis in "xy"] + [errors.get(f"rotation.{name}", 0.0)]
+    if not any(turns):
+        return Motion(np.eye(3), shift, np.zeros(3))
+    plate = plates_of(window.bodies)[number]
+    height = 0.5 * (plate[0].front.vertex[2] + plate[-1].back.vertex[2])
+    return Motion(_turned(*turns), shift, np.array([0.0, 0.0, height]))
 
 
 def _second(window: Window, errors: Errors) -> Motion:
@@ -251,7 +257,8 @@ class Parameter:
     Parameters
     ----------
     name : str
-        Such as "decentre.2.x": the key, the array, the direction or face.
+        Such as "decentre.2.x": the key, the array, the direction or face. 1 is the first plate, 2 the last,
+        3 and up those between in the order of the light; "gap.1" is the air behind the first plate.
     key : str
         Key of [tolerances] that sets it; "play" of body.pins.
     half : float
@@ -280,11 +287,15 @@ def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
     for array, half in enumerate(spec.decentre, 1):
         found += [Parameter(f"decentre.{array}.{axis}", "decentre", half, unit) for axis in "xy"]
     found.append(Parameter("rotation", "rotation", spec.rotation, "rad"))
-    if len(plates_of(window.bodies)) > 1:
-        found.append(Parameter("separation", "separation", spec.separation, unit))
-    if len(plates_of(window.bodies)) > 2:
+    plates, listed = len(plates_of(window.bodies)), window.form == "plates"
+    gaps = [f"gap.{gap}" for gap in range(1, plates)] if listed else ["separation"][: plates - 1]
+    found += [Parameter(name, "separation", spec.separation, unit) for name in gaps]
+    for name in range(3, plates + 1):
         aside = spec.of_array(spec.decentre, 2)
-        found += [Parameter(f"decentre.3.{axis}", "decentre", aside, unit) for axis in "xy"]
+        found += [Parameter(f"decentre.{name}.{axis}", "decentre", aside, unit) for axis in "xy"]
+        if listed:
+            found.append(Parameter(f"rotation.{name}", "rotation", spec.rotation, "rad"))
+            found += [Parameter(f"tilt.{name}.{axis}", "tilt", spec.tilt, "rad") for axis in "xy"]
     for array, part, _ in _curved(window):
         half = spec.of_array(spec.radius, array - 1)
         found.append(Parameter(f"radius.{part}", "radius", half, ""))

@@ -15,9 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from clacad import __version__
 from clacad.base import units
+from clacad.base.interactive import Tabular, columns_of
 from clacad.base.text import whole_number
 from clacad.base.types import Floats, Progress
 from clacad.config.toml_text import toml_value
+from clacad.design.sections import CHECK, LIGHT
 from clacad.formats.study_file import FORMAT
 from clacad.optics.rays import Fate
 from clacad.prescription.prescribe import prescribe
@@ -26,7 +28,14 @@ from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.vignetting import order_shares, thin_cells
 from clacad.tracing.worst_cell import SeenCell, worst_cell
 from clacad.verification.tolerance.farm import Farm
-from clacad.verification.tolerance.light_measures import MEASURES, RAYS, bench, sloped
+from clacad.verification.tolerance.light_measures import (
+    MEASURES,
+    RAYS,
+    STATED,
+    bench,
+    measures_of,
+    sloped,
+)
 from clacad.verification.tolerance.study import asked_design, named_design, worked
 
 if TYPE_CHECKING:
@@ -90,7 +99,7 @@ class CannotVary(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class Sweep(Tabular):
     """Table of the points of a sweep.
 
     Attributes
@@ -101,7 +110,7 @@ class Sweep:
     rows : list of mappings
         In the order of the grid, the last axis fastest: the varied keys, "state" ("ok", "failed": a check of
         the design rules fails, or "error": the point cannot be built), "failed" and "message", then `BUILT`,
-        `TRACED` and `BEAM`.
+        `TRACED`, `STATED` where stated, and `BEAM`.
     incident : (x, y) slopes or None
         Middle of the light at every point; None: the middle of the field of each point.
     """
@@ -112,9 +121,19 @@ class Sweep:
     rows: list[dict[str, Any]]
     incident: tuple[float, float] | None = None
 
+    def __repr__(self) -> str:
+        keys = ", ".join(f"{key} ({len(values)})" for key, values in self.axes)
+        return f"Sweep({self.name!r}, {len(self.rows)} points of {keys})"
+
+    def to_columns(self) -> dict[str, Any]:
+        """One row for each point, in the order of the grid."""
+        found = columns_of(self.rows)
+        return {name: found.get(name, []) for name in self.columns()}
+
     def columns(self) -> list[str]:
         """Names of the columns of the table."""
-        return [key for key, _ in self.axes] + ["state", "failed", "message", *BUILT, *TRACED, *BEAM]
+        white = [name for name in STATED if any(name in row for row in self.rows)]
+        return [key for key, _ in self.axes] + ["state", "failed", "message", *BUILT, *TRACED, *white, *BEAM]
 
 
 def parse_vary(text: str) -> Axis:
@@ -218,6 +237,7 @@ def _point(
 
     row: dict[str, Any] = {"state": "error", "failed": "", "message": ""}
     row |= dict.fromkeys([*BUILT, *TRACED, *BEAM], nan) | {"orders": {}}
+    row |= dict.fromkeys(_stated(design, changes), nan)
     try:
         made = design.replace(changes)
         window = prescribe(made)
@@ -235,9 +255,19 @@ def _point(
     table = bench(made, seen.like, rays, incident)
     measured = table.measured({})
     chief = {f"exit_{a}": float(table.chief[k]) for k, a in enumerate("xy")}
-    row |= chief | {name: measured[name] for name in TRACED if name in measured}
+    row |= chief | {name: measured[name] for name in (*TRACED, *STATED) if name in measured}
     middle = middle_direction(seen.like, made.check.field_centre) if incident is None else sloped(incident)
     return row | _beam(seen, middle, rays)
+
+
+def _stated(design: Design, changes: Mapping[str, Any]) -> list[str]:
+    """Measures of white light and temperature that a design states, or a key that is varied."""
+    white, warm = (
+        {LIGHT.spectrum, CHECK.law_white} & {*changes},
+        {LIGHT.temperature, CHECK.temperature} & {*changes},
+    )
+    varied = {"law_white": white, "colour": white, "temperature": warm}
+    return [name for name in STATED if name in measures_of(design) or varied[name]]
 
 
 def _beam(seen: SeenCell, direction: Floats, rays: int) -> dict[str, Any]:
@@ -275,22 +305,31 @@ def _built(facts: Feasibility) -> dict[str, float]:
     }
 
 
+TASK = "sweep"
+"""Name under which the required time is recorded."""
+
+
+def sweep_seconds(axes: Sequence[Axis], rays: int) -> float:
+    """Processor seconds of a sweep from its beginning, by a model of one reference machine."""
+    return 0.3 + _point_count(tuple(axes)) * (0.15 + 3e-5 * rays)
+
+
 def sweep(
     design: Design,
-    axes: Sequence[Axis],
+    axes: Mapping[str, Sequence[Any]] | Sequence[Axis | str],
     rays: int = RAYS,
     farm: Farm | None = None,
     checkpoint: Path | None = None,
     progress: Progress | None = None,
     incident: tuple[float, float] | None = None,
 ) -> Sweep:
-    """Build, judge and trace the design at every point of a grid.
+    """Vary keys of a design over a grid of values: build, judge and trace the design at every point.
 
     Parameters
     ----------
     design : Design
-    axes : sequence of (dotted key, values)
-        From `parse_vary`.
+    axes : mapping of dotted key to values, or sequence
+        A sequence has pairs (dotted key, values), or texts as `parse_vary` reads them.
     rays : int
         Rays of a bundle.
     farm, checkpoint, progress
@@ -303,17 +342,33 @@ def sweep(
     ------
     CannotVary
         No axes, one key twice, or too many points.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]"])
+    >>> from clacad.verification.tolerance import Farm
+    >>> grid = clacad.sweep(design, {"pair.separation": [8.0, 10.0]}, rays=64, farm=Farm(1))
+    >>> grid.to_columns()["state"]
+    ['ok', 'ok']
     """
-    count = _point_count(axes)
-    whole = [[key, list(values)] for key, values in axes]
+    varied = _axes(axes)
+    count = _point_count(varied)
+    whole = [[key, list(values)] for key, values in varied]
     asked = {"axes": whole, "rays": rays, "incident": None if incident is None else list(incident)}
     text = json.dumps({**named_design(design), **asked}, sort_keys=True)
     header = {"kind": "sweep", "format": FORMAT, "clacad": __version__, "design": design.sha256, **asked}
     found = worked(make_points, text, header, count, farm or Farm(), checkpoint, progress, piece=1)
-    rows = [point | row for point, row in zip(grid(axes), found, strict=True)]
+    rows = [point | row for point, row in zip(grid(varied), found, strict=True)]
     if not any(row["state"] != "error" for row in rows):
         raise CannotVary(f"no point can be built; the first: {rows[0]['message']}")
-    return Sweep(design.name, design.sha256, tuple((k, tuple(v)) for k, v in axes), rows, incident)
+    return Sweep(design.name, design.sha256, varied, rows, incident)
+
+
+def _axes(given: Mapping[str, Sequence[Any]] | Sequence[Axis | str]) -> tuple[Axis, ...]:
+    pairs = given.items() if isinstance(given, Mapping) else given
+    read = (parse_vary(one) if isinstance(one, str) else one for one in pairs)
+    return tuple((key, tuple(values)) for key, values in read)
 
 
 def _point_count(axes: Sequence[Axis]) -> int:

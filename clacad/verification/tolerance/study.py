@@ -15,13 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad import __version__
-from clacad.base.types import Floats, Progress, silent
+from clacad.base.interactive import Tabular, shown_progress
+from clacad.base.text import percent_text
+from clacad.base.types import Floats, Progress
 from clacad.design.sections import CHECK, TOLERANCES
 from clacad.formats.study_file import FORMAT
 from clacad.prescription.prescribe import prescribe
 from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.tolerance.farm import Checkpoint, Farm, WorkersLost
-from clacad.verification.tolerance.light_measures import MEASURES, RAYS, Bench, bench
+from clacad.verification.tolerance.light_measures import MEASURES, RAYS, STATED, Bench, bench, measures_of
 from clacad.verification.tolerance.misaligned import Parameter, draw, parameters
 
 if TYPE_CHECKING:
@@ -38,6 +40,12 @@ RANKED = ("image_shift", "moire_rate", "residual_power", "blur", "throughput", "
 """Measures for which contributors are ranked."""
 
 _LAW = list(MEASURES).index("law_rms")
+
+FARTHEST = 10.0
+"""Largest adjustment of a compensator in one step, over its tolerance."""
+
+TRIED = 6
+"""Values of a compensator that are tried on each sheet."""
 
 ENDS = 4
 """Sheets for each parameter: at both ends of its tolerance, and at a small error of either sign."""
@@ -59,7 +67,7 @@ class Limit:
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class Study(Tabular):
     """Results of a tolerance study.
 
     Attributes
@@ -83,6 +91,7 @@ class Study:
     cell : (i, j) or None; tried : int
         For a non-uniform sheet: the study is of this cell's uniform equivalent, by light the worst of
         `tried` cells.
+    of_cell : That cell and the spread over the others, in words.
     """
 
     name: str
@@ -100,14 +109,30 @@ class Study:
     measures: Floats
     cell: tuple[int, int] | None = None
     tried: int = 0
+    of_cell: str = ""
+
+    def __repr__(self) -> str:
+        share, count = self.yields()[0], len(self.measures)
+        made = f"yield {percent_text(share, 3)} of {count} sheets" if count else "no sheets drawn"
+        return f"Study({self.name!r}, {len(self.parameters)} parameters, {made})"
+
+    def to_columns(self) -> dict[str, Any]:
+        """One row for each sheet drawn: its errors and measures (SI, radians), and whether it is good."""
+        errors = {p.name: self.errors[:, k] for k, p in enumerate(self.parameters)}
+        return errors | {name: self.column(name) for name in self.units} | {"good": self.good()}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Name and unit of each measure."""
+        return {name: unit for name, unit in {**MEASURES, **STATED}.items() if name in self.nominal}
 
     def column(self, measure: str) -> Floats:
         """One measure of all sheets, (n,)."""
-        return np.asarray(self.measures[:, list(MEASURES).index(measure)])
+        return np.asarray(self.measures[:, list(self.units).index(measure)])
 
     def change(self, measure: str) -> Floats:
         """Largest change of a measure over each tolerance alone, (p,)."""
-        at = list(MEASURES).index(measure)
+        at = list(self.units).index(measure)
         found = np.abs(self.ends[:, :, at] - self.nominal[measure]).max(axis=1)
         return np.where(np.isfinite(found), found, np.inf)
 
@@ -166,6 +191,33 @@ class Study:
         return [float(filled[min(len(filled) - 1, int(part * len(filled)))]) for part in (0.05, 0.5, 0.95)]
 
 
+LEAST_SHEETS = 30.0
+"""Effective number of sheets below which no yield is estimated."""
+
+
+def yield_if_tighter(study: Study, key: str, factor: float) -> float | None:
+    """Estimate the yield with one tolerance times `factor` from the sheets of a study.
+
+    Each sheet is weighted by the ratio of the probability densities of its errors (importance sampling):
+    of uniform errors, those beyond the tighter tolerance have weight 0 and the others equal weights.
+
+    Returns: None where too few sheets have a weight.
+    """
+    weight = np.ones(len(study.errors))
+    for k, one in enumerate(study.parameters):
+        if one.key != key or one.half == 0.0:
+            continue
+        scaled = study.errors[:, k] / one.half
+        if study.distribution == "normal" and not one.uniform:  # a tolerance is two standard deviations
+            weight *= np.exp(-2.0 * scaled**2 * (factor**-2 - 1.0))
+        else:
+            weight *= np.abs(scaled) <= factor
+    total = float(weight.sum())
+    if total == 0.0 or total**2 / float((weight**2).sum()) < LEAST_SHEETS:
+        return None
+    return float(weight @ study.good()) / total
+
+
 def _centre(measures: Floats) -> tuple[float, float]:
     """Centre (metres) of the cell of the law error in a row of measures."""
     x, y = (float(measures[list(MEASURES).index(name)]) for name in ("law_rms_x", "law_rms_y"))
@@ -182,6 +234,10 @@ def limits(design: Design) -> tuple[Limit, ...]:
         Limit("delta_error", "<=", check.delta, CHECK.delta),
         Limit("kept", ">=", check.throughput, CHECK.throughput),
     ]
+    for measure in ("law_white", "temperature"):
+        stated = getattr(check, measure)
+        if stated is not None:
+            found.append(Limit(measure, "<=", stated, getattr(CHECK, measure)))
     for measure in ("image_shift", "blur", "residual_power", "moire_period"):
         value = getattr(own, measure)
         if value is not None:
@@ -222,11 +278,44 @@ def _set_up(study: str) -> tuple[Bench, tuple[Parameter, ...], int, str]:
 def make_cases(study: str, cases: Sequence[int]) -> list[list[float]]:
     """Make the sheets of some cases and measure them; the numbers do not depend on the process."""
     table, chosen, seed, distribution = _set_up(study)
+    spec = asked_design(json.loads(study)).tolerances
+    alone = 1 + ENDS * len(chosen)
     found = []
     for case in cases:
-        measured = table.measured(case_errors(chosen, seed, distribution, case))
-        found.append([measured[name] for name in MEASURES])
+        errors = case_errors(chosen, seed, distribution, case)
+        if spec.compensator is not None and case >= alone:
+            step = next(one.half for one in chosen if one.name == spec.compensator)
+            errors = adjusted(table, errors, spec.compensator, step)
+        measured = table.measured(errors)
+        found.append([measured[name] for name in (*MEASURES, *STATED) if name in measured])
     return found
+
+
+def adjusted(table: Bench, errors: Mapping[str, float], name: str, step: float) -> Mapping[str, float]:
+    """Errors of a sheet with one of them set to the least law error: a spacer, or focus.
+
+    The square of the error is a parabola of a gap, so that three values give its least; a second parabola
+    about that refines it. The best of all tried is returned.
+
+    step : Distance of the tried values, in the unit of the error.
+    """
+    tried: dict[float, float] = {}
+
+    def square(value: float) -> float:
+        if value not in tried:
+            tried[value] = table.measured({**errors, name: value})["law_rms"] ** 2
+        return tried[value]
+
+    at = errors.get(name, 0.0)
+    for width in (step, 0.25 * step):
+        low, here, high = square(at - width), square(at), square(at + width)
+        bend = low - 2.0 * here + high
+        if not bend > 0.0:
+            break
+        at += min(max(0.5 * width * (low - high) / bend, -FARTHEST * step), FARTHEST * step)
+    square(at)
+    known = {value: one for value, one in tried.items() if isfinite(one)}
+    return {**errors, name: min(known, key=lambda value: known[value])} if known else errors
 
 
 class NoTolerances(ValueError):
@@ -241,6 +330,19 @@ NO_TOLERANCES = (
 )
 
 
+TASK = "tolerances"
+"""Name under which the required time is recorded."""
+
+
+def study_seconds(design: Design, samples: int | None, rays: int) -> float:
+    """Processor seconds of a study from its beginning, by a model of one reference machine."""
+    chosen = parameters(design, prescribe(design))  # as many as of any cell
+    drawn = design.tolerances.samples if samples is None else samples
+    each = 1 if design.tolerances.compensator is None else 1 + TRIED
+    count = 1 + ENDS * len(chosen) + each * drawn
+    return 0.3 + count * (0.022 + 4.5e-5 * rays)
+
+
 def tolerance(
     design: Design,
     samples: int | None = None,
@@ -250,7 +352,8 @@ def tolerance(
     checkpoint: Path | None = None,
     progress: Progress | None = None,
 ) -> Study:
-    """Compute the effect of the design's tolerances on light.
+    """Find what fabrication errors do to light: draw sheets within the design's [tolerances], trace each,
+    count the good ones.
 
     Parameters
     ----------
@@ -267,20 +370,42 @@ def tolerance(
         continue from them. A checkpoint of another study raises OtherStudy.
     progress : callable or None
         (stage, done 0 … 1).
+
+    Examples
+    --------
+    >>> import clacad
+    >>> design = clacad.load("slab", ["lattice.count = [3, 3]", "tolerances.decentre = 5 um"])
+    >>> from clacad.verification.tolerance import Farm
+    >>> study = clacad.tolerance(design, samples=4, rays=64, farm=Farm(1))
+    >>> len(study.column("law_rms"))
+    4
     """
     seen = worst_cell(prescribe(design), design.check.field)
     chosen = parameters(design, seen.like)
     if not chosen:
         raise NoTolerances(NO_TOLERANCES)
+    _refuse_compensator(design, chosen)
     seed = design.tolerances.seed if seed is None else seed
     count = 1 + ENDS * len(chosen) + (design.tolerances.samples if samples is None else samples)
     text = json.dumps({**named_design(design), "rays": rays, "seed": seed}, sort_keys=True)
     header = {"kind": "tolerances", "format": FORMAT, "clacad": __version__, "design": design.sha256}
-    header |= {"seed": seed, "rays": rays, "parameters": [p.name for p in chosen], "measures": [*MEASURES]}
+    header |= {
+        "seed": seed,
+        "rays": rays,
+        "parameters": [p.name for p in chosen],
+        "measures": [*measures_of(design)],
+    }
     rows = worked(make_cases, text, header, count, farm or Farm(), checkpoint, progress)
     study = _study(design, chosen, seed, rays, np.array(rows, dtype=np.float64))
     i, j = (int(v) for v in seen.cell)
-    return replace(study, cell=(i, j), tried=seen.tried) if seen.tried else study
+    return replace(study, cell=(i, j), tried=seen.tried, of_cell=seen.words) if seen.tried else study
+
+
+def _refuse_compensator(design: Design, chosen: Sequence[Parameter]) -> None:
+    """Refuse a compensator that is no error of the design with a tolerance."""
+    name, known = design.tolerances.compensator, [one.name for one in chosen if not one.one_sided]
+    if name is not None and name not in known:
+        raise NoTolerances(f"{TOLERANCES.compensator} = {name!r}: it is one of {', '.join(known)}")
 
 
 def named_design(design: Design) -> dict[str, Any]:
@@ -311,12 +436,9 @@ def worked(
     """Records 0 … count − 1 of a study: those of the checkpoint, and the computed others, which are added to
     it.
 
-    Raises
-    ------
-    WorkersLost
-        With the number of stored records, and how to continue.
+    Raises WorkersLost: With the number of stored records, and how to continue.
     """
-    report = progress or silent
+    report = shown_progress(progress)
     with Checkpoint(checkpoint, header) as kept:
         rows = list(islice(kept.records, count))
         pieces = list(_pieces(len(rows), count, piece)) if len(rows) < count else []
@@ -350,7 +472,8 @@ def _pieces(start: int, stop: int, size: int) -> Iterator[list[int]]:
 def _study(design: Design, chosen: tuple[Parameter, ...], seed: int, rays: int, rows: Floats) -> Study:
     """The study assembled from the measures (cases, m) of all its sheets."""
     n = len(chosen)
-    alone = rows[1 : 1 + ENDS * n].reshape(n, ENDS, len(MEASURES))
+    names = measures_of(design)
+    alone = rows[1 : 1 + ENDS * n].reshape(n, ENDS, len(names))
     with np.errstate(invalid="ignore"):
         width = np.array([(SMALL if p.one_sided else 2.0 * SMALL) * p.half for p in chosen])
         slopes = (alone[:, 2] - alone[:, 3]) / width[:, None]
@@ -366,7 +489,7 @@ def _study(design: Design, chosen: tuple[Parameter, ...], seed: int, rays: int, 
         distribution,
         seed,
         rays,
-        dict(zip(MEASURES, (float(v) for v in rows[0]), strict=True)),
+        dict(zip(names, (float(v) for v in rows[0]), strict=True)),
         alone[:, :2],
         slopes,
         np.array(errors, dtype=np.float64).reshape(drawn, n),

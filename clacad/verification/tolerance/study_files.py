@@ -21,7 +21,6 @@ from clacad.base.drawn_figure import drawn
 from clacad.base.text import percent_text
 from clacad.formats.study_file import FORMAT, TOLERANCES
 from clacad.storage.atomic import Stage, canonical_json
-from clacad.verification.tolerance.light_measures import MEASURES
 from clacad.verification.tolerance.parameter_sweep import CannotVary, Sweep, shown
 from clacad.verification.tolerance.study import RANKED, Study, finite
 
@@ -51,7 +50,7 @@ def study_document(study: Study) -> dict[str, Any]:
         "seed": study.seed,
         "rays": study.rays,
         "samples": len(study.measures),
-        "units": dict(MEASURES),
+        "units": study.units,
         "parameters": [
             {"name": p.name, "key": p.key, "tolerance": p.half, "unit": p.unit, "one_sided": p.one_sided}
             for p in study.parameters
@@ -68,7 +67,7 @@ def study_document(study: Study) -> dict[str, Any]:
         "root_sum_square": {m: finite(float(np.sqrt((study.change(m) ** 2).sum()))) for m in RANKED},
         "percentiles": {
             m: dict(zip(("5", "50", "95"), (finite(v) for v in study.percentiles(m)), strict=True))
-            for m in MEASURES
+            for m in study.units
         },
         "limits": [
             {
@@ -90,15 +89,15 @@ def _sensitivity(study: Study, number: int) -> dict[str, Any]:
     plus, minus = study.ends[number]
     return {
         "parameter": study.parameters[number].name,
-        "slope": {m: finite(float(v)) for m, v in zip(MEASURES, study.slopes[number], strict=True)},
-        "plus": {m: finite(float(v)) for m, v in zip(MEASURES, plus, strict=True)},
-        "minus": {m: finite(float(v)) for m, v in zip(MEASURES, minus, strict=True)},
+        "slope": {m: finite(float(v)) for m, v in zip(study.units, study.slopes[number], strict=True)},
+        "plus": {m: finite(float(v)) for m, v in zip(study.units, plus, strict=True)},
+        "minus": {m: finite(float(v)) for m, v in zip(study.units, minus, strict=True)},
     }
 
 
 def study_table(study: Study) -> str:
     """Content of tolerances.csv: one line per sheet with its errors, its measures, and whether it is good."""
-    lines = [["sheet", *(p.name for p in study.parameters), *MEASURES, "good"]]
+    lines = [["sheet", *(p.name for p in study.parameters), *study.units, "good"]]
     good = study.good()
     for k in range(len(study.measures)):
         numbers = [shown(float(v)) for v in (*study.errors[k], *study.measures[k])]
@@ -167,10 +166,7 @@ def write_sweep(
 def require_writable(formats: Sequence[str]) -> None:
     """Refuse unknown or unavailable formats of a table, before a sweep and not after it.
 
-    Raises
-    ------
-    CannotVary
-        An unknown format, or Parquet without the package that writes it.
+    Raises CannotVary: An unknown format, or Parquet without the package that writes it.
     """
     unknown = [name for name in formats if name not in ("csv", "parquet")]
     if unknown or not formats:

@@ -1,0 +1,200 @@
+"""`clacad steer`: plates that move, and where the light goes at every position."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from clacad.base.text import mrad_text, percent_text, table
+from clacad.cli.brief import Brief, facts
+from clacad.cli.command import Command, OfDesign, dry_run_option, option, overwrite_option, required
+from clacad.cli.console import Console
+from clacad.cli.option_values import BadOption, load_counted, parse_distance
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+    from clacad.steering import Position, Steered
+
+TASK = "steer"
+
+KINDS: dict[str, Literal["csv", "png", "svg", "html"]] = {
+    ".csv": "csv",
+    ".png": "png",
+    ".svg": "svg",
+    ".html": "html",
+}
+"""Ending of a file → what is written."""
+
+SECONDS_A_RAY, SECONDS_OF_WAVES = 4e-6, 0.8
+"""Processor seconds for each ray, and for the waves of a position, on the reference machine."""
+
+
+def parse_moves(option: str, text: str) -> dict[int, float]:
+    """Read "plate2=1,plate3=.5" as plate number → displacement per travel."""
+    found: dict[int, float] = {}
+    for part in text.split(","):
+        named = re.fullmatch(r"\s*plate([1-9][0-9]?)\s*=\s*(\S+)\s*", part)
+        try:
+            number, value = int(named[1]), float(named[2])  # type: ignore[index]
+        except (TypeError, ValueError):
+            number, value = 0, float("nan")
+        if not isfinite(value):
+            raise BadOption(f"{option} {text}: it is plates and their part of the travel, plate2=1,plate3=.5")
+        if number in found:
+            raise BadOption(f"{option} {text}: plate{number} is named twice")
+        found[number] = value
+    return found
+
+
+@dataclass(frozen=True, kw_only=True)
+class SteerBeam(OfDesign):
+    """Move plates of a design and print where light along the normal goes at every position."""
+
+    travel: str = required("--travel LENGTH", "Largest displacement to either side, e.g. '±50 um'.")
+    axis: str = option("--axis A", "x, y, xy (along both at once) or z (along the normal: focus).", "x")
+    move: dict[int, float] | None = option(
+        "--move plate2=1,plate3=.5",
+        "Plates that move, in the order of the light, and their part of the travel; default the last by 1.",
+        read=parse_moves,
+    )
+    positions: int = option("--positions N", "Positions of the scan.", 11, least=2, most=1001)
+    rays: int = option("--rays N", "Rays over a cell.", 8192, least=64, most=1_000_000)
+    waves: bool = option(
+        "--waves/--no-waves", "Efficiency of diffraction orders in coherent light; most of the time.", True
+    )
+    out: Path | None = option("-o, --out FILE", "Table .csv, picture .png or .svg, page with a slider .html.")
+    dry_run: bool = dry_run_option()
+    overwrite: bool = overwrite_option()
+
+
+def run(request: SteerBeam, console: Console) -> int:
+    """Scan, print the positions, write the file."""
+    kind = None if request.out is None else KINDS.get(request.out.suffix.lower())
+    if request.out is not None and kind is None:
+        raise BadOption(f"-o {request.out}: the name ends in {', '.join(KINDS)}")
+    design = load_counted(request.design, request.set)
+    typed = request.travel.strip().removeprefix("±").removeprefix("+-").removeprefix("+/-")
+    travel = parse_distance("--travel", typed, design.unit)
+    seconds = 0.5 + request.positions * (
+        SECONDS_A_RAY * request.rays + (SECONDS_OF_WAVES if request.waves else 0.0)
+    )
+    if request.dry_run:
+        console.show(
+            lambda: {"forecast": {"positions": request.positions, "seconds": seconds}},
+            lambda: (
+                f"{request.positions} positions, about {seconds:.2g} s of processor time; nothing is written"
+            ),
+        )
+        return 0
+    from clacad.steering import steer
+    from clacad.storage.atomic import require_writable, write_content
+
+    if request.out is not None:
+        require_writable(request.out, overwrite=request.overwrite)
+    with console.progress() as progress, console.forecast(TASK, seconds) as span:
+        progress.expect(span.middle)
+        found = steer(
+            design,
+            travel,
+            request.axis,
+            request.move,
+            positions=request.positions,
+            rays=request.rays,
+            waves=request.waves,
+            progress=progress,
+        )
+    if request.out is not None and kind is not None:
+        write_content(request.out, _content(design, found, kind), overwrite=request.overwrite)
+    console.show(found.to_dict, lambda: _text(found), lambda: _brief(found))
+    if request.out is not None:
+        console.say(f"wrote {request.out}")
+    return 0
+
+
+def _content(design: Design, found: Steered, kind: Literal["csv", "png", "svg", "html"]) -> str | bytes:
+    """Content of the requested file."""
+    from clacad.report.scan_files import csv_text, page, picture
+
+    if kind == "html":
+        return page(design, found)
+    return csv_text(found) if kind == "csv" else picture(found, kind)
+
+
+HEAD = ("travel", "slope x, y", "paraxial", "spread", "share", "beam", "order", "efficiency", "on order")
+
+
+def _row(one: Position) -> tuple[str, ...]:
+    """One position as text; slopes and spread in thousandths."""
+    slopes, paraxial = (
+        ", ".join(f"{round(1e3 * value, 3) + 0.0:.4g}" for value in pair)
+        for pair in (one.slopes, one.closed_form)
+    )
+    waves = [f"{v:.3f}" if isfinite(v) else "" for v in (one.efficiency, one.efficiency_on_order)]
+    return (
+        f"{one.travel:.4g}",
+        slopes,
+        paraxial,
+        mrad_text(one.spread, 3, unit=""),
+        percent_text(one.share, 1, fixed=True),
+        f"{one.exit_beam_over_pitch:.3f}",
+        "{}, {}".format(*one.diffraction_order),
+        *waves,
+    )
+
+
+def _verdict(found: Steered) -> str:
+    """Reach, spread and share of the whole scan."""
+    ends = sorted(one.slopes[found.along] for one in (found.positions[0], found.positions[-1]))
+    return (
+        f"{found.name}: exit slopes {1e3 * ends[0]:.4g} to {1e3 * ends[1]:.4g} mrad, spread up to "
+        f"{mrad_text(found.worst_spread)}, share at least {percent_text(found.least_share)}"
+    )
+
+
+def _notes(found: Steered) -> list[tuple[str, str]]:
+    """Linearity, cross-talk and orders."""
+    terms = ", ".join(f"{value:.4g}" for value in found.odd_terms)
+    steps = mrad_text(found.order_step[found.along])
+    return [
+        (
+            "linearity",
+            f"terms of travel, travel^3, travel^5 in 1/{found.unit}^k: {terms}; the rest is at most "
+            f"{mrad_text(found.nonlinearity, 3)}",
+        ),
+        ("cross-talk", f"{mrad_text(found.cross_talk, 3)} across the travel"),
+        (
+            "orders",
+            f"{steps} apart in coherent light; efficiency of the nearest order, and of one at the peak",
+        ),
+    ]
+
+
+def _text(found: Steered) -> str:
+    """Every position, its stray light, and the notes."""
+    stray = [
+        f"  stray at {one.travel:.4g}: "
+        + "; ".join(
+            "cell {}, {}: {} at slopes {:.4g}, {:.4g}".format(
+                *light.order, percent_text(light.share), *light.slope
+            )
+            for light in one.orders[1:]
+        )
+        for one in found.positions
+        if len(one.orders) > 1
+    ]
+    focus = [f"  convergence at {one.travel:.4g}: {one.power:.4g} 1/m" for one in found.positions]
+    notes = table([(f"  {name}", text) for name, text in _notes(found)], "")
+    rows = table([HEAD, *map(_row, found.positions)])
+    return "\n".join([rows, *stray, *focus, notes, _verdict(found)])
+
+
+def _brief(found: Steered) -> Brief:
+    """Verdict, positions, linearity and orders."""
+    rows = [HEAD, *map(_row, found.positions)]
+    return Brief(_verdict(found), (facts(rows), facts(_notes(found))))
+
+
+COMMANDS = (Command("steer", "look", SteerBeam, run),)

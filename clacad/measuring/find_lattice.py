@@ -1,0 +1,258 @@
+"""Where the lenslets of a map lie: turn, pitch and shift of their lattice, from its Fourier maxima.
+
+Block means about a plane, under a Hann window, have maxima at the reciprocal vectors of the lattice. Their
+places give turn and pitch, their phases the shift; the sign of the second harmonic separates domes
+from bowls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import hypot, pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from clacad.base.types import Bools, Floats, Ints
+from clacad.measuring.read_map import MeasuredMap
+from clacad.sheet.pattern import Pattern
+from clacad.storage.errors import UnreadableFile
+
+BLOCKS = 50
+"""Blocks of the map over one pitch, at most."""
+
+FEWEST_PIXELS = 12
+"""Fewest pixels across a cell."""
+
+FEWEST_CELLS = 1.8
+"""Least width of a map, in cells."""
+
+OFF = 0.05
+"""Largest relative difference of the period from the design's."""
+
+SEARCHED = 0.35
+"""Largest relative difference of periods that are looked for, so that the message can name them."""
+
+CLEAR = 6.0
+"""Least height of the maxima over the median of as long waves."""
+
+
+class NotMeasurable(UnreadableFile):
+    """A map that does not hold the lenslets of the design, or not well enough to be measured."""
+
+
+NDArrayComplex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Lattice of a map, in the map's axes.
+
+    origin : (2,) lengths. Centre of the cell nearest to the middle of the map.
+    basis : (2, 2) lengths. Columns: steps to the next cell along i and along j.
+    """
+
+    origin: Floats
+    basis: Floats
+
+    def index(self, x: Floats, y: Floats) -> Floats:
+        """Coordinates (2, n) of places in steps of the lattice, not rounded."""
+        solved = np.linalg.inv(self.basis) @ np.stack([x - self.origin[0], y - self.origin[1]])
+        return np.asarray(solved)
+
+    def centres(self, index: Ints) -> Floats:
+        """Centres (n, 2) of cells (n, 2)."""
+        return np.asarray(self.origin + index @ self.basis.T)
+
+
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """Block means about their plane, windowed: values (ny, nx), and the places of columns and rows."""
+
+    values: Floats
+    x: Floats
+    y: Floats
+
+    def at(self, fx: Floats, fy: Floats) -> NDArrayComplex:
+        """Fourier sums (len(fy), len(fx)) at frequencies (1/length)."""
+        rows = np.exp(-2j * pi * np.outer(fy, self.y))
+        columns = np.exp(-2j * pi * np.outer(self.x, fx))
+        return np.asarray(rows @ self.values @ columns)
+
+
+def find_lattice(
+    measured: MeasuredMap, design: Pattern, lenslet: Callable[[Floats, Floats], Floats]
+) -> Found:
+    """Find the lenslets of a map.
+
+    measured : lengths in design units
+    design : Cells of the face.
+    lenslet : Height of the design's lenslet over places from the centre of its cell.
+    Raises NotMeasurable: No period near the design's, too few pixels, or domes for bowls.
+    """
+    _refuse_coarse(measured, design)
+    blocks = _blocks(measured, min(design.pitch) / BLOCKS)
+    waves = _waves(design)
+    first = _searched(blocks, waves, design)
+    found = np.array([_climbed(blocks, wave) for wave in first])  # rows: waves of the map
+    basis = np.linalg.inv(found[:2])  # columns a1, a2 with waves · steps = identity
+    _refuse_period(measured, basis, design)
+    shown = np.array([[complex(blocks.at(k * w[:1], k * w[1:])[0, 0]) for k in (1, 2)] for w in found[:2]])
+    shown /= _harmonics(design, waves, lenslet)
+    phase = shown[:, 0] / np.abs(shown[:, 0])
+    if not (shown[:, 1] * np.conj(phase) ** 2).real.sum() > 0.0:
+        raise NotMeasurable(
+            f"{measured.name}: domes where the design has bowls, or bowls for domes: its z axis"
+            f" points into the"
+            " material, or it is a map of the tool"
+        )
+    origin = basis @ (np.angle(phase) / (-2.0 * pi))
+    nearest = np.rint(np.linalg.inv(basis) @ origin)
+    return Found(origin - basis @ nearest, basis)
+
+
+def _harmonics(design: Pattern, waves: Floats, lenslet: Callable[[Floats, Floats], Floats]) -> NDArrayComplex:
+    """Fourier coefficients (2, 2) of the design's cell: first and second harmonic of both waves."""
+    line = (np.arange(64) + 0.5) / 64.0 - 0.5
+    steps = np.column_stack([design.a1, design.a2])
+    i, j = (one.ravel() for one in np.meshgrid(line, line, indexing="ij"))
+    x, y = steps @ np.stack([i, j])
+    centres = np.array([steps @ [m, n] for m in (-1, 0, 1) for n in (-1, 0, 1)])
+    nearest = centres[np.argmin(np.hypot(x[:, None] - centres[:, 0], y[:, None] - centres[:, 1]), axis=1)]
+    height = np.nan_to_num(lenslet(x - nearest[:, 0], y - nearest[:, 1]))
+    return np.array(
+        [[np.sum(height * np.exp(-2j * pi * k * (w[0] * x + w[1] * y))) for k in (1, 2)] for w in waves[:2]]
+    )
+
+
+def _refuse_coarse(measured: MeasuredMap, design: Pattern) -> None:
+    """Refuse a map with too few pixels a cell, or smaller than a cell."""
+    side = min(design.pitch if not design.hexagonal else (design.pitch[0], design.row_height))
+    across = side / max(measured.pixel)
+    if across < FEWEST_PIXELS:
+        unit = _factor(across)
+        raise NotMeasurable(
+            f"{measured.name}: {across:.3g} pixels across a cell, {FEWEST_PIXELS} are the fewest{unit}"
+        )
+    size = min(measured.shape[0] * measured.pixel[1], measured.shape[1] * measured.pixel[0])
+    if size < FEWEST_CELLS * side:
+        none = "no whole lenslet" if size < side else "too few lenslets"
+        raise NotMeasurable(
+            f"{measured.name}: {none}: the map is {size:.4g} wide, a cell {side:.4g};"
+            f" {FEWEST_CELLS:g} cells are the"
+            f" least{_factor(across)}"
+        )
+
+
+def _factor(across: float) -> str:
+    """Words for a lateral unit that is a thousand times off, by the pixels across a cell."""
+    for factor in (1e3, 1e-3):
+        if FEWEST_PIXELS <= across * factor <= 2000.0:
+            return (
+                "; with a lateral unit 1000 times "
+                + ("smaller" if factor > 1.0 else "larger")
+                + " it would fit"
+            )
+    return ""
+
+
+def _blocks(measured: MeasuredMap, size: float) -> _Blocks:
+    """Means of the map over blocks of about `size`, about their plane, under a Hann window."""
+    step = [max(1, int(size / pixel + 0.5)) * pixel for pixel in measured.pixel]
+    x, y, z = measured.points
+    low = [x.min(), y.min()]
+    column, row = (np.floor((at - low[k]) / step[k] + 1e-6).astype(np.int64) for k, at in enumerate((x, y)))
+    shape = (int(row.max()) + 1, int(column.max()) + 1)
+    flat = row * shape[1] + column
+    count = np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
+    total = np.bincount(flat, z, minlength=shape[0] * shape[1]).reshape(shape)
+    known = count > 0
+    mean = np.where(known, total / np.maximum(count, 1), 0.0)
+    gx, gy = (low[k] + (np.arange(shape[1 - k]) + 0.5) * step[k] for k in (0, 1))
+    ry, rx = np.nonzero(known)
+    design = np.column_stack([np.ones(len(rx)), gx[rx], gy[ry]])
+    plane = np.linalg.lstsq(design, mean[known], rcond=None)[0]
+    values = np.zeros(shape)
+    values[known] = mean[known] - design @ plane
+    window = np.outer(np.hanning(shape[0] + 2)[1:-1], np.hanning(shape[1] + 2)[1:-1])
+    return _Blocks(values * window, gx, gy)
+
+
+def _waves(design: Pattern) -> Floats:
+    """Reciprocal vectors (2 or 3, 2) of the unturned design's lattice: those of its shortest periods."""
+    a1, a2 = np.array(design.a1), np.array(design.a2)
+    one, two = np.linalg.inv(np.column_stack([a1, a2]))
+    return np.array([one, two, one + two]) if design.hexagonal else np.array([one, two])
+
+
+def _searched(blocks: _Blocks, waves: Floats, design: Pattern) -> Floats:
+    """The waves turned and scaled to where the power of the map is largest."""
+    size = (np.ptp(blocks.x) + 1e-12, np.ptp(blocks.y) + 1e-12)
+    counts = [1 << int(np.ceil(np.log2(4 * n))) for n in blocks.values.shape]
+    power = np.abs(np.fft.fft2(blocks.values, counts))
+    step = (blocks.x[1] - blocks.x[0], blocks.y[1] - blocks.y[0])
+    bins = [1.0 / (counts[1] * step[0]), 1.0 / (counts[0] * step[1])]
+    longest = float(np.hypot(*waves.T).max())
+    fine = 0.2 / (max(size) * longest)
+    half = pi / {2: 2.0 if design.pitch[0] != design.pitch[1] else 4.0, 3: 6.0}[len(waves)]
+    turns = np.arange(-half, half, fine)
+    scales = np.exp(np.arange(-SEARCHED, SEARCHED, fine))
+    best, place = -1.0, (0.0, 1.0)
+    for scale in scales:
+        score = np.ones(len(turns))
+        for wave in waves:
+            fx = scale * (wave[0] * np.cos(turns) - wave[1] * np.sin(turns))
+            fy = scale * (wave[0] * np.sin(turns) + wave[1] * np.cos(turns))
+            i, j = (
+                np.rint(fy / bins[1]).astype(int) % counts[0],
+                np.rint(fx / bins[0]).astype(int) % counts[1],
+            )
+            score *= power[i, j]
+        k = int(np.argmax(score))
+        if score[k] > best:
+            best, place = float(score[k]), (float(turns[k]), float(scale))
+    turn, scale = place
+    around = np.median(power[_annulus(counts, bins, longest * scale)])
+    if not best ** (1.0 / len(waves)) > CLEAR * max(float(around), 1e-300):
+        raise NotMeasurable("no lattice of lenslets is found: no period near the design's is clear")
+    c, s = np.cos(turn), np.sin(turn)
+    return np.asarray(scale * waves @ np.array([[c, s], [-s, c]]))
+
+
+def _annulus(counts: list[int], bins: list[float], radius: float) -> Bools:
+    """Frequencies (ny, nx) of about one length."""
+    fx, fy = np.fft.fftfreq(counts[1]) * counts[1] * bins[0], np.fft.fftfreq(counts[0]) * counts[0] * bins[1]
+    length = np.hypot(fx[None, :], fy[:, None])
+    return np.asarray((length > 0.5 * radius) & (length < 2.0 * radius))
+
+
+def _climbed(blocks: _Blocks, wave: Floats) -> Floats:
+    """The wave (2,) moved to the maximum of the power of the map."""
+    step = np.array([0.25 / np.ptp(blocks.x), 0.25 / np.ptp(blocks.y)])
+    at = wave.copy()
+    for _ in range(12):
+        offsets = np.array([-1.0, 0.0, 1.0])
+        power = np.log(np.abs(blocks.at(at[0] + step[0] * offsets, at[1] + step[1] * offsets)) ** 2 + 1e-300)
+        for axis, line in enumerate((power[1], power[:, 1])):
+            bend = line[0] - 2.0 * line[1] + line[2]
+            move = 0.5 * (line[0] - line[2]) / bend if bend < 0.0 else np.sign(line[2] - line[0])
+            at[axis] += step[axis] * float(np.clip(move, -1.0, 1.0))
+        step *= 0.6
+    return at
+
+
+def _refuse_period(measured: MeasuredMap, basis: Floats, design: Pattern) -> None:
+    """Refuse a lattice whose period is not the design's."""
+    wanted = [hypot(*design.a1), hypot(*design.a2)]
+    got = np.hypot(*basis)
+    off = got / wanted - 1.0
+    if np.abs(off).max() > OFF:
+        worst = int(np.argmax(np.abs(off)))
+        raise NotMeasurable(
+            f"{measured.name}: lenslets every {got[0]:.5g} and {got[1]:.5g}, by the design every"
+            f" {wanted[0]:.5g} and"
+            f" {wanted[1]:.5g}: {100.0 * off[worst]:+.3g} %, and {100.0 * OFF:g} % is the most:"
+            f" another part, or"
+            " another lateral scale"
+        )

@@ -1,0 +1,471 @@
+"""Lenslets of a map, each fitted by a conic with astigmatism, and the lattice and plane on which they lie.
+
+The radius, conic constant, middle and astigmatism of a lenslet are those of the least squares of vertical
+distances over the measured aperture: its cell less a margin all round. They depend on that aperture.
+Distances beyond
+`CLIPPED` times the median absolute deviation are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from clacad.base.types import Bools, Floats, Ints
+from clacad.measuring.find_lattice import Found, NotMeasurable, find_lattice
+from clacad.measuring.read_map import MeasuredMap
+from clacad.sheet.pattern import Pattern
+
+MARGIN = 0.01
+"""Width (mm) of the strip inside each border of a cell that is not fitted, at most a tenth of the pitch."""
+
+CLIPPED = 4.5
+PRESENT, ALONG = 0.8, 0.5
+"""Share of the parts of an aperture that must hold points, and of those along each side of it."""
+
+DEGREE, COARSE_DEGREE = 8, 4
+"""Degree of the Legendre polynomials of the form that is left by the fit; that of coarse maps."""
+
+PRIOR = 1.0
+"""Weight of the expectation that a polynomial has the coefficient 0, in points: it decides only where none
+is."""
+
+FINE = 24
+"""Pixels across an aperture from which a map is not coarse."""
+
+NAMES = ("x", "y", "z", "curvature", "conic", "astigmatism", "astigmatism_45")
+TILES = 10
+"""Parts of an aperture along each side, whose errors are taken as independent."""
+
+WIDER = 1.4
+"""Factor of standard deviations: errors of neighbouring parts are not independent."""
+
+BLOCKS = 48
+"""Block means over an aperture along each side, at most: 10 µm of a pitch of .5 mm."""
+
+STEEP = 0.05
+"""Tilt (radians) from which lateral errors of the instrument rule the uncertainty of heights."""
+
+THIN = 2500
+"""Points of a lenslet of the first fit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Aperture:
+    """Measured aperture of the lenslets of a lattice: a cell, drawn in.
+
+    normals : (k, 2). Outward unit normals of its borders.
+    reach : (k,) lengths. Distance of each border from the middle.
+    half : (2,) lengths. Half sizes of its bounding box.
+    """
+
+    normals: Floats
+    reach: Floats
+    half: Floats
+
+    def holds(self, u: Floats, v: Floats) -> Bools:
+        """Which places (n,) lie in it."""
+        inside = np.ones(len(u), dtype=bool)
+        for (nx, ny), reach in zip(self.normals, self.reach, strict=True):
+            inside &= nx * u + ny * v <= reach
+        return inside
+
+
+def aperture_of(design: Pattern, millimetre: float) -> Aperture:
+    """Measured aperture of the cells of a design; `millimetre`: lengths of a design unit in a millimetre."""
+    tile = design.tile()
+    edge = np.roll(tile, -1, axis=0) - tile
+    normals = np.column_stack([edge[:, 1], -edge[:, 0]]) / np.hypot(*edge.T)[:, None]
+    reach = np.einsum("ij,ij->i", normals, tile)
+    reach = reach - min(MARGIN * millimetre, 0.2 * float(reach.min()))
+    half = np.abs(tile).max(axis=0) * (reach.min() / np.einsum("ij,ij->i", normals, tile).min())
+    return Aperture(normals, reach, half)
+
+
+@dataclass(frozen=True, eq=False)
+class Lenslets:
+    """Fitted lenslets of one side, in the axes of their lattice and the plane of their apexes.
+
+    index : (m, 2) ints. Cells counted from the one nearest to the middle of the map.
+    values : (m, 7). `NAMES`: middle and height about lattice and plane (lengths), curvature (1/length, > 0:
+    dome),
+        conic constant, and astigmatism at 0 and 45 degrees (1/length).
+    covariance : (m, 7, 7)
+    form : (m, k) lengths. Coefficients of Legendre polynomials over the aperture that the fit leaves, shrunk.
+    u_form : (m, k) lengths. Standard deviations of the coefficients.
+    texture : (m,) lengths. Rms of what form and fit leave.
+    lattice : Found. Lattice of the middles, in the map's axes once its plane is level.
+    level : (3, 3). Rotation of the map that makes the plane of the apexes level.
+    plane : (3,) What is left of the plane once the map is turned: its height at the middle and slopes.
+    aperture : Aperture
+    """
+
+    index: Ints
+    values: Floats
+    covariance: Floats
+    form: Floats
+    u_form: Floats
+    texture: Floats
+    lattice: Found
+    level: Floats
+    plane: Floats
+    aperture: Aperture
+
+    @property
+    def u(self) -> Floats:
+        """Standard deviations (m, 7) of `values`."""
+        return np.asarray(np.sqrt(np.einsum("mii->mi", self.covariance)))
+
+    @property
+    def pitch(self) -> tuple[float, float]:
+        """Lengths of the steps of the lattice along i and j."""
+        x, y = np.hypot(*self.lattice.basis)
+        return float(x), float(y)
+
+    @property
+    def pose(self) -> tuple[float, float, float]:
+        """Angles T, a, b (radians): the map is Rz(T) Rx(a) Ry(b) of the part, whose x runs along the step
+        i.
+        """
+        along = self.level.T @ np.append(_axes(self.lattice)[:, 0], 0.0)
+        normal = self.level[2]
+        across = np.cross(normal, along)
+        return (
+            float(np.arctan2(-across[0], across[1])),
+            float(np.arcsin(across[2])),
+            float(np.arctan2(-along[2], normal[2])),
+        )
+
+    @property
+    def apexes(self) -> Floats:
+        """Highest points (m, 3) of the lenslets above their plane, in the axes of the map."""
+        x, y = (self.lattice.centres(self.index) + self.values[:, :2] @ _axes(self.lattice).T).T
+        return np.column_stack([x, y, self.values[:, 2] + self.plane @ [np.ones(len(x)), x, y]]) @ self.level
+
+    def placed(self, points: Floats) -> tuple[Ints, Floats]:
+        """Number (n,) of the lenslet in whose cell points (3, n) of the map lie, −1 for none, and the points
+        (3, n) in the axes of their cells, heights above the plane of the apexes.
+        """
+        x, y, z = self.level @ points
+        cell = np.rint(self.lattice.index(x, y)).astype(np.int64)
+        off = np.stack([x, y]) - self.lattice.centres(cell.T).T
+        low = self.index.min(axis=0)
+        table = np.full(np.ptp(self.index, axis=0) + 3, -1, dtype=np.int64)
+        table[tuple((self.index - low + 1).T)] = np.arange(len(self.index))
+        at = [np.clip(cell[k] - low[k] + 1, 0, table.shape[k] - 1) for k in (0, 1)]
+        height = z - self.plane[0] - self.plane[1] * x - self.plane[2] * y
+        return table[at[0], at[1]], np.vstack([_axes(self.lattice).T @ off, height])
+
+    def heights(self, number: int, u: Floats, v: Floats, values: Floats | None = None) -> Floats:
+        """Form (n,) of one lenslet over places of its cell: the conic, and what the fit leaves of it."""
+        fitted, _ = conic(self.values[number] if values is None else values, u, v, slopes=False)
+        s, t = (np.clip(at / half, -1.0, 1.0) for at, half in zip((u, v), self.aperture.half, strict=True))
+        return np.asarray(fitted + legendre(s, t, self.form.shape[1]) @ self.form[number])
+
+
+def conic(values: Floats, u: Floats, v: Floats, slopes: bool = True) -> tuple[Floats, Floats]:
+    """Height (n,) of a lenslet over places of its cell, and its derivatives (n, 7) to its numbers."""
+    x0, y0, z0, c, k, a, b = values
+    x, y = u - x0, v - y0
+    r2 = x * x + y * y
+    w = np.sqrt(np.maximum(1.0 - (1.0 + k) * c * c * r2, 1e-6))
+    z = z0 - c * r2 / (1.0 + w) - a * (x * x - y * y) - 2.0 * b * x * y
+    if not slopes:
+        return z, np.empty((0, 7))
+    slope = np.empty((len(u), 7))
+    slope[:, 0] = c * x / w + 2.0 * a * x + 2.0 * b * y
+    slope[:, 1] = c * y / w - 2.0 * a * y + 2.0 * b * x
+    slope[:, 2] = 1.0
+    slope[:, 3] = -r2 / ((1.0 + w) * w)
+    slope[:, 4] = -0.5 * c**3 * r2 * r2 / (w * (1.0 + w) ** 2)
+    slope[:, 5] = y * y - x * x
+    slope[:, 6] = -2.0 * x * y
+    return z, slope
+
+
+def legendre(s: Floats, t: Floats, count: int) -> Floats:
+    """First `count` products (n, count) of Legendre polynomials of places scaled to [−1, 1], by their
+    degree.
+    """
+    pairs = [(i, n - i) for n in range(DEGREE + 1) for i in range(n + 1)][:count]
+    degree = sum(pairs[-1])
+    one, two = (np.polynomial.legendre.legvander(at, degree) for at in (s, t))
+    return np.stack([one[:, i] * two[:, j] for i, j in pairs], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Block means over an aperture.
+
+    side : Blocks along each side of its bounding box.
+    inside : (blocks,) Those whose middle lies in the aperture.
+    places : (2, k) lengths. Middles of those inside.
+    basis : (k, c). Legendre polynomials there.
+    tiles : (k,) ints. Part of the aperture of each.
+    """
+
+    aperture: Aperture
+    side: int
+    inside: Ints
+    places: Floats
+    basis: Floats
+    tiles: Ints
+
+    def block(self, u: Floats, v: Floats) -> Ints:
+        """Block (n,) of each place."""
+        return _part(u, v, self.aperture, self.side)
+
+
+def _grid(aperture: Aperture, pixel: float) -> _Grid:
+    """Blocks of at least two pixels a side."""
+    across = 2.0 * float(aperture.half.min()) / pixel
+    side = int(np.clip(across / 2.0, 5, BLOCKS))
+    degree = DEGREE if across >= FINE else COARSE_DEGREE
+    line = (np.arange(side) + 0.5) / side * 2.0 - 1.0
+    gx, gy = (one.ravel() for one in np.meshgrid(*(line * half for half in aperture.half), indexing="ij"))
+    inside = np.flatnonzero(aperture.holds(gx, gy))
+    places = np.stack([gx[inside], gy[inside]])
+    scaled = places / aperture.half[:, None]
+    basis = legendre(scaled[0], scaled[1], (degree + 1) * (degree + 2) // 2)
+    tiles = _part(places[0], places[1], aperture, min(TILES, max(3, side // 2)))
+    return _Grid(aperture, side, inside, places, basis, tiles)
+
+
+def _part(u: Floats, v: Floats, aperture: Aperture, side: int) -> Ints:
+    """Part of an aperture, of `side` × `side`, in which places (n,) lie."""
+    at = [
+        np.clip(((one / half + 1.0) * (0.5 * side)).astype(np.int64), 0, side - 1)
+        for one, half in zip((u, v), aperture.half, strict=True)
+    ]
+    return np.asarray(at[0] * side + at[1])
+
+
+def fit_lenslets(measured: MeasuredMap, design: Pattern, aperture: Aperture, start: Floats) -> Lenslets:
+    """Find and fit every whole lenslet of a map.
+
+    measured : lengths in design units
+    design : Cells of the face.
+    start : (7,) numbers of the design's lenslet, its middle at 0.
+    Raises NotMeasurable: As `find_lattice`; or no whole lenslet.
+    """
+    level, points = _levelled(measured.points, plane_of(measured.points))
+    found = find_lattice(
+        replace(measured, points=points), design, lambda u, v: conic(start, u, v, slopes=False)[0]
+    )
+    grid = _grid(aperture, max(measured.pixel))
+    for last in (False, True):
+        cells, groups = _grouped(points, found, aperture, grid)
+        if not cells:
+            raise NotMeasurable(
+                f"{measured.name}: no whole lenslet: a cell is whole where its measured aperture"
+                f" lies in the map and"
+                f" {100 * PRESENT:g} % of its parts hold points"
+            )
+        fits = [_fitted(group, start, grid, last) for group in groups]
+        index, values = np.array(cells), np.array([one.values for one in fits])
+        found, plane, values = _placed(found, index, values)
+        if not last:
+            turn, points = _levelled(points, plane[1:])
+            level = turn @ level
+    wider = 1.0 + float(level[0, 2] ** 2 + level[1, 2] ** 2) / STEEP**2
+    for one in fits:  # lateral errors of the instrument enter the heights of a tilted specimen
+        one.covariance[:] *= wider
+        one.u_form[:] *= np.sqrt(wider)
+    stacked = [
+        np.array([getattr(one, name) for one in fits]) for name in ("covariance", "form", "u_form", "texture")
+    ]
+    covariance, form, u_form, texture = stacked
+    return Lenslets(index, values, covariance, form, u_form, texture, found, level, plane, aperture)
+
+
+def plane_of(points: Floats) -> Floats:
+    """Slopes (2,) of the plane of points (3, n), by a part of them."""
+    x, y, z = points[:, :: max(1, points.shape[1] // 50_000)]
+    design = np.column_stack([np.ones(len(x)), x, y])
+    return np.asarray(np.linalg.lstsq(design, z, rcond=None)[0][1:])
+
+
+def _levelled(points: Floats, slopes: Floats) -> tuple[Floats, Floats]:
+    """Rotation that makes a plane of these slopes level, about a level axis; and the points (3, n) turned."""
+    normal = np.array([-slopes[0], -slopes[1], 1.0]) / np.sqrt(1.0 + slopes @ slopes)
+    x, y, z = normal
+    turn = np.array(
+        [
+            [1.0 - x * x / (1.0 + z), -x * y / (1.0 + z), -x],
+            [-x * y / (1.0 + z), 1.0 - y * y / (1.0 + z), -y],
+            normal,
+        ]
+    )
+    return turn, turn @ points
+
+
+def _grouped(
+    points: Floats, found: Found, aperture: Aperture, grid: _Grid
+) -> tuple[list[tuple[int, int]], list[Floats]]:
+    """Whole cells, and the points (3, n) of each in its own axes: those of the lattice, from its centre."""
+    place = found.index(points[0], points[1])
+    cell = np.rint(place).astype(np.int64)
+    off = points[:2] - found.centres(cell.T).T
+    u, v = _axes(found).T @ off
+    kept = np.flatnonzero(aperture.holds(u, v))
+    low, high = cell.min(axis=1), cell.max(axis=1)
+    rows = int(high[1] - low[1]) + 1
+    number = (cell[0, kept] - low[0]) * rows + cell[1, kept] - low[1]
+    order = np.argsort(number, kind="stable")
+    kept, number = kept[order], number[order]
+    tiles = min(TILES, max(3, grid.side // 3))
+    corners = np.array([[sx * aperture.half[0], sy * aperture.half[1]] for sx in (-1, 1) for sy in (-1, 1)])
+    edges = [points[:2].min(axis=1), points[:2].max(axis=1)]
+    room = 1e-3 * float(aperture.half.min())
+    cells, groups = [], []
+    for rows_of in np.split(kept, np.flatnonzero(np.diff(number)) + 1):
+        if not len(rows_of):
+            continue
+        one = cell[:, rows_of[0]]
+        at = found.centres(one[None])[0] + corners @ _axes(found).T
+        table = np.stack([u[rows_of], v[rows_of], points[2, rows_of]])
+        inside = (at >= edges[0] - room).all() and (at <= edges[1] + room).all()
+        if inside and len(rows_of) >= 2 * grid.basis.shape[1] and _whole(table, aperture, tiles):
+            cells.append((int(one[0]), int(one[1])))
+            groups.append(table)
+    return cells, groups
+
+
+def _axes(found: Found) -> Floats:
+    """Axes of the cells, columns, in those of the map: along the step i, and across it."""
+    x, y = found.basis[:, 0] / np.hypot(*found.basis[:, 0])
+    return np.array([[x, -y], [y, x]])
+
+
+def _whole(table: Floats, aperture: Aperture, tiles: int) -> bool:
+    """Whether the points of a cell cover its aperture."""
+    line = (np.arange(tiles) + 0.5) / tiles * 2.0 - 1.0
+    gx, gy = np.meshgrid(*(line * half for half in aperture.half), indexing="ij")
+    wanted = aperture.holds(gx.ravel(), gy.ravel())
+    count = np.bincount(_part(table[0], table[1], aperture, tiles), minlength=tiles * tiles)
+    held = (count >= max(1.0, 0.2 * float(np.median(count[wanted])))) | ~wanted
+    square = held.reshape(tiles, tiles)
+    sides = (square[0], square[-1], square[:, 0], square[:, -1])
+    return bool(held[wanted].mean() >= PRESENT and all(side.mean() >= ALONG for side in sides))
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    values: Floats
+    covariance: Floats
+    form: Floats
+    u_form: Floats
+    texture: float
+
+
+def _fitted(table: Floats, start: Floats, grid: _Grid, last: bool) -> _Fit:
+    """Fit one lenslet by its points (3, n); its form and uncertainties only in the last round."""
+    u, v, z = table[:, :: max(1, table.shape[1] // THIN)]
+    values = start.copy()
+    values[2] += np.median(z - conic(values, u, v, slopes=False)[0])
+    values = _solved(values, u, v, z, 2)
+    kept = _near(z - conic(values, u, v, slopes=False)[0])
+    values = _solved(values, u[kept], v[kept], z[kept], 3)
+    if not last:
+        return _Fit(values, np.empty(0), np.empty(0), np.empty(0), 0.0)
+    u, v, z = table
+    off = z - conic(values, u, v, slopes=False)[0]
+    block = grid.block(u, v)
+    form, square, weight, mean = _form(off, block, _near(off), grid)
+    smooth = np.zeros(grid.side * grid.side)
+    smooth[grid.inside] = grid.basis @ form
+    kept = _near(off - smooth[block])
+    form, square, weight, mean = _form(off, block, kept, grid)
+    # what the conic has of the form, over the whole aperture alike: lost points leave no trace
+    slopes = conic(values, *grid.places)[1]
+    share = np.linalg.lstsq(slopes, grid.basis, rcond=None)[0]
+    values = values + share @ form
+    smooth[grid.inside] = grid.basis @ form
+    rest = mean - grid.basis @ form
+    covariance = _sandwich(grid, square, weight, rest)
+    own = np.eye(len(form)) - np.linalg.lstsq(grid.basis, slopes, rcond=None)[0] @ share
+    form, of_form = own @ form, own @ covariance @ own.T
+    u_form = np.sqrt(np.maximum(np.diag(of_form), 0.0))
+    shrunk = form * np.maximum(0.0, 1.0 - u_form**2 / np.maximum(form**2, 1e-300))
+    texture = float(np.sqrt(np.mean((off - smooth[block])[kept] ** 2)))
+    return _Fit(values, share @ covariance @ share.T, shrunk, u_form, texture)
+
+
+def fit_heights(aperture: Aperture, heights: Callable[[Floats, Floats], Floats], start: Floats) -> Floats:
+    """Numbers (7,) of a lenslet whose heights over places are known, by the same least squares.
+
+    start : (7,) numbers near them.
+    """
+    line = (np.arange(BLOCKS) + 0.5) / BLOCKS * 2.0 - 1.0
+    u, v = (one.ravel() for one in np.meshgrid(*(line * half for half in aperture.half), indexing="ij"))
+    inside = aperture.holds(u, v)
+    u, v = u[inside], v[inside]
+    return _solved(start, u, v, heights(u, v), 12)
+
+
+def _form(off: Floats, block: Ints, kept: Bools, grid: _Grid) -> tuple[Floats, Floats, Floats, Floats]:
+    """Legendre coefficients of what a fit leaves, by weighted block means.
+
+    Returns coefficients, matrix of the normal equations, weight and mean of each block inside.
+    """
+    size = grid.side * grid.side
+    weight = np.bincount(block[kept], minlength=size)[grid.inside].astype(np.float64)
+    total = np.bincount(block[kept], off[kept], minlength=size)[grid.inside]
+    mean = total / np.maximum(weight, 1.0)
+    weighted = grid.basis * weight[:, None]
+    square = weighted.T @ grid.basis
+    square[np.diag_indices_from(square)] += PRIOR
+    return np.asarray(np.linalg.solve(square, weighted.T @ mean)), square, weight, mean
+
+
+def _solved(values: Floats, u: Floats, v: Floats, z: Floats, rounds: int) -> Floats:
+    """Numbers of a lenslet after some steps of Gauss and Newton."""
+    for _ in range(rounds):
+        fitted, slope = conic(values, u, v)
+        square, right = slope.T @ slope, slope.T @ (z - fitted)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(square), 1e-300))
+        step = np.linalg.lstsq(square * scale[:, None] * scale, right * scale, rcond=1e-12)[0]
+        values = values + scale * step
+    return values
+
+
+def _near(off: Floats) -> Bools:
+    """Which distances are no spikes and no dirt."""
+    middle = float(np.median(off))
+    spread = float(np.median(np.abs(off - middle)))
+    return np.asarray(np.abs(off - middle) <= CLIPPED * max(1.4826 * spread, 1e-300))
+
+
+def _sandwich(grid: _Grid, square: Floats, weight: Floats, rest: Floats) -> Floats:
+    """Covariance of weighted least squares whose errors are alike within a part of the aperture."""
+    count = int(grid.tiles.max()) + 1
+    scores = np.zeros((count, len(square)))
+    np.add.at(scores, grid.tiles, grid.basis * (weight * rest)[:, None])
+    inverse = np.linalg.inv(square)
+    used = len(np.unique(grid.tiles[weight > 0.0]))
+    free = max(2.0, used - 0.5 * len(square))
+    clustered = inverse @ (scores.T @ scores) @ inverse * (WIDER**2 * used / free)
+    spread = float(np.sum(weight * rest**2)) / max(1.0, float((weight > 0.0).sum()) - len(square))
+    white = inverse * (WIDER**2 * spread)
+    larger = np.sqrt(np.maximum(1.0, np.diag(white) / np.maximum(np.diag(clustered), 1e-300)))
+    return np.asarray(clustered * larger * larger[:, None])
+
+
+def _placed(found: Found, index: Ints, values: Floats) -> tuple[Found, Floats, Floats]:
+    """Lattice of the fitted middles, plane (3,) of the apexes, and the numbers about both."""
+    middles = found.centres(index) + values[:, :2] @ _axes(found).T
+    design = np.column_stack([np.ones(len(index)), index])
+    solved = np.linalg.lstsq(design, middles, rcond=None)[0]
+    if np.linalg.matrix_rank(design) < 3:  # cells in one row: the steps across it are those of the maxima
+        solved = np.vstack([(middles - index @ found.basis.T).mean(axis=0), found.basis.T])
+    lattice = Found(solved[0], np.asarray(solved[1:].T))
+    plane = np.column_stack([np.ones(len(index)), middles])
+    if np.linalg.matrix_rank(plane) < 3:
+        plane[:, 1:] = 0.0
+    slopes = np.linalg.lstsq(plane, values[:, 2], rcond=None)[0]
+    moved = values.copy()
+    moved[:, :2] = (middles - lattice.centres(index)) @ _axes(lattice)
+    moved[:, 2] = values[:, 2] - plane @ slopes
+    return lattice, np.asarray(slopes), moved

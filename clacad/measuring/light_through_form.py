@@ -1,0 +1,245 @@
+"""Light through the measured form of a sheet: the fitted lenslets in place of the design's, cell by cell.
+
+Texture is not traced: rays would take its slopes for errors of direction, while a wave much longer than the
+texture is high leaves it undisturbed but for a small share. The form of a lenslet goes on to the border of
+its
+cell; light that meets a seam, or a place without points, is counted apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import exp, nan, pi
+
+import numpy as np
+
+from clacad.base.types import Bools, Floats, Ints
+from clacad.light.measure import Light, measure
+from clacad.measuring.fit_lenslets import Lenslets
+from clacad.measuring.sides import Name, Side
+from clacad.optics.rays import TraceResult
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
+from clacad.sheet.representative_cells import central_cell
+from clacad.sheet.window import Face, Window
+from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, FacetBody, sampled_face, trace_facets
+
+RAYS = 1024
+"""Rays of a cell."""
+
+NODES = 33
+"""Heights along a side of a cell of which the form is a bicubic surface."""
+
+MOST_CELLS = 36
+"""Most cells that are lit; of more, as many evenly chosen ones."""
+
+DRAWS = 6
+"""Sets of numbers within their uncertainty by which the uncertainty of the error of light is found."""
+
+PHASE = 1.0
+"""Rms phase (radians) up to which the undisturbed share of light is exp(−phase²)."""
+
+
+def parts_of(u: Floats, v: Floats, bounds: Floats, bins: int) -> tuple[Ints, Ints]:
+    """Numbers (n,) along both sides of the part of a cell's bounding box in which each place lies."""
+    i, j = (
+        np.clip(((one / half + 1.0) * (0.5 * bins)).astype(np.int64), 0, bins - 1)
+        for one, half in zip((u, v), bounds, strict=True)
+    )
+    return i, j
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredSide:
+    """A side with its fitted lenslets, and where their cells are form.
+
+    formed : (m, bins, bins) Whether light meets formed surface in each part of the bounding box of each cell.
+    bounds : (2,) lengths. Half sizes of that box.
+    u_scale : Half width of the stated relative uncertainty of heights, of a coverage of 95 %.
+    """
+
+    side: Side
+    lenslets: Lenslets
+    formed: Bools
+    bounds: Floats
+    u_scale: float
+
+    @cached_property
+    def rows(self) -> dict[tuple[int, int], int]:
+        """Step of the sheet's lattice → number of the lenslet."""
+        return {(int(i), int(j)): k for k, (i, j) in enumerate(self.side.cell(self.lenslets.index))}
+
+    def meets_form(self, number: int, x: Floats, y: Floats) -> Bools:
+        """Whether sheet places (n,) relative to the centre of the cell are formed surface."""
+        sheet = self.side.in_sheet(x, y, np.zeros(len(x)))  # the signs are their own inverse
+        return np.asarray(
+            self.formed[number, *parts_of(sheet[:, 0], sheet[:, 1], self.bounds, self.formed.shape[1])]
+        )
+
+    def values(self, number: int, draw: Floats | None) -> Floats:
+        """Numbers (7,) of a lenslet, changed within their uncertainty where a draw (7,) is given."""
+        found: Floats = self.lenslets.values[number]
+        if draw is None:
+            return found
+        root = np.linalg.cholesky(self.lenslets.covariance[number] + 1e-30 * np.eye(7))
+        return np.asarray(found + root @ draw)
+
+    def samples(self, number: int, scale: float = 1.0, draw: Floats | None = None) -> tuple[Floats, Floats]:
+        """Points (k, 3) of one lenslet over its cell, cell frame of the sheet, and their spacing (2,).
+
+        scale : Factor of all heights, for another scale of the instrument.
+        """
+        half = np.abs(self.side.lattice.tile()).max(axis=0)
+        lines = [np.linspace(-h, h, NODES) for h in half]
+        u, v = (one.ravel() for one in np.meshgrid(*lines, indexing="ij"))
+        height = self.lenslets.heights(number, u, v, self.values(number, draw))
+        if draw is not None:
+            count = self.lenslets.form.shape[1]
+            change = np.random.default_rng(number).standard_normal(count) * self.lenslets.u_form[number]
+            one = self.lenslets.heights(number, u, v, np.zeros(7))
+            drawn = Lenslets(**{**vars(self.lenslets), "form": self.lenslets.form + change})
+            height = height + drawn.heights(number, u, v, np.zeros(7)) - one
+        return self.side.in_sheet(u, v, scale * height), 2.0 * half / (NODES - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class FormLight:
+    """Light through the measured form.
+
+    cells : Steps of the lattice of the cells that were lit.
+    rms, bias : radians. Error to the law of the formed light, and of its mean direction; NaN if too dark.
+    low, high : radians. Range of `rms` within the stated uncertainties.
+    slope : radians. Change of `rms` over the relative change of the scale of heights, the larger of both
+    sides.
+    formed, seam : Shares of all light that pass clear of seams, and that pass but met one.
+    by_cell : (cells,) radians
+    """
+
+    cells: tuple[tuple[int, int], ...]
+    rms: float
+    bias: float
+    low: float
+    high: float
+    slope: float
+    formed: float
+    seam: float
+    by_cell: Floats
+
+    @property
+    def u_rms(self) -> float:
+        """Standard uncertainty of `rms`, radians."""
+        return 0.5 * max(self.high - self.rms, self.rms - self.low)
+
+
+def light_through_form(
+    window: Window, sides: Mapping[Name, MeasuredSide], field: float, centre: str
+) -> FormLight:
+    """Send light through every cell that was measured on every measured side.
+
+    sides : Measured ones; the other faces are as designed.
+    field : radians. Half angle of the cone of directions; `centre`: its middle, as in `bundle`.
+    """
+    common = sorted(set.intersection(*(set(one.rows) for one in sides.values())))
+    cells = [common[k] for k in np.linspace(0, len(common) - 1, min(len(common), MOST_CELLS)).astype(int)]
+    cell = central_cell(window)
+    lit = bundle(window, RAYS, field, centre, cell=cell)
+    lights = [_lit(window, sides, one, lit) for one in cells]
+    clear = [_clear(sides, one, light) for one, light in zip(cells, lights, strict=True)]
+    value = _rms(lights, clear)
+    few = cells if len(cells) <= 9 else [cells[k] for k in np.linspace(0, len(cells) - 1, 9).astype(int)]
+    base = _rms([_lit(window, sides, one, lit) for one in few])
+    u_scale = max(one.u_scale for one in sides.values())
+    steps = [
+        _rms([_lit(window, sides, one, lit, 1.0 / (1.0 + part * u_scale)) for one in few]) - base
+        for part in (-1.0, -0.5, 0.5, 1.0)
+    ]
+    draws = np.random.default_rng(0).standard_normal((DRAWS, 7))
+    noisy = np.array([_rms([_lit(window, sides, one, lit, 1.0, draw) for one in few]) for draw in draws])
+    noise, added = 2.0 * float(np.std(noisy)), max(0.0, float(np.mean(noisy**2)) - base**2)
+    fuller = base - float(np.sqrt(max(0.0, base**2 - added)))  # noise of the fit is error of light, too
+    down, up = min(0.0, *steps), max(0.0, *steps)
+    alive = np.array([light.alive.mean() for light in lights])
+    formed = np.array([(light.alive & good).mean() for light, good in zip(lights, clear, strict=True)])
+    return FormLight(
+        tuple(cells),
+        value,
+        _bias(lights),
+        max(0.0, value - float(np.linalg.norm([down, noise, fuller]))),
+        value + float(np.hypot(up, noise)),
+        max(up, -down) / u_scale if u_scale else nan,
+        float(formed.mean()),
+        float((alive - formed).mean()),
+        np.array([_rms([light], [good]) for light, good in zip(lights, clear, strict=True)]),
+    )
+
+
+def _rms(lights: Sequence[Light], clear: Sequence[Bools] | None = None) -> float:
+    """Rms error (radians) of the light of several cells together, of the rays that are `clear`."""
+    error = [
+        light.error[light.known if clear is None else light.known & clear[k]]
+        for k, light in enumerate(lights)
+    ]
+    every = np.concatenate(error)
+    return float(np.sqrt(np.mean(every**2))) if len(every) >= 64 else nan
+
+
+def _bias(lights: Sequence[Light]) -> float:
+    """Length (radians) of the mean difference of direction to the law."""
+    off = np.concatenate([(one.direction - one.expected)[one.known] for one in lights])
+    return float(np.linalg.norm(off.mean(axis=0))) if len(off) >= 64 else nan
+
+
+def _lit(
+    window: Window,
+    sides: Mapping[Name, MeasuredSide],
+    cell: tuple[int, int],
+    lit: Bundle,
+    scale: float = 1.0,
+    draw: Floats | None = None,
+) -> Light:
+    """Light of a bundle through one cell as measured."""
+    held = {id(one.side.face): one.samples(one.rows[cell], scale, draw) for one in sides.values()}
+    bodies = []
+    for body in window.bodies:
+        faces = [_face(window, face, lit.cell, held) for face in (body.front, body.back)]
+        bodies.append(FacetBody(faces[0], faces[1], body))
+
+    def send(one: Bundle) -> TraceResult:
+        return trace_facets(tuple(bodies), one.rays)
+
+    return measure(send, lit, RequestedLaw.of(window))
+
+
+def _face(
+    window: Window, face: Face, cell: tuple[int, int], held: Mapping[int, tuple[Floats, Floats]]
+) -> AnyFace:
+    """A face of a cell, as measured or as designed."""
+    place = np.array([*window.centres(face.array or 0, np.array(cell, dtype=np.int64)), 0.0])
+    if id(face) not in held:
+        return ExactFace(face, place, window)
+    points, step = held[id(face)]
+    return sampled_face(window, face, place, points, step)
+
+
+def _clear(sides: Mapping[Name, MeasuredSide], cell: tuple[int, int], light: Light) -> Bools:
+    """Which rays (n,) met formed surface on every measured side."""
+    good = np.ones(len(light.seen), dtype=bool)
+    for name, one in sides.items():
+        window, face = one.side.window, one.side.face
+        centre = window.centres(face.array or 0, np.array(light.lit.cell, dtype=np.int64))
+        at = light.seen.position[:, :2]
+        if name == "front":  # rays are straight up to the first face
+            start, way = light.lit.rays.position, light.lit.rays.direction
+            at = (start + way * ((face.vertex[2] - start[:, 2]) / way[:, 2])[:, None])[:, :2]
+        good &= one.meets_form(one.rows[cell], *(at - centre).T)
+    return good
+
+
+def texture_share(texture: float, index: float, wavelength: float) -> float:
+    """Share of light that a texture leaves undisturbed; NaN where its phase is above `PHASE`.
+
+    texture : metres, rms. index : of the material. wavelength : metres.
+    """
+    phase = 2.0 * pi * (index - 1.0) * texture / wavelength
+    return exp(-(phase**2)) if phase <= PHASE else nan

@@ -1,0 +1,261 @@
+"""Measure a made part: maps in, lenslets, light and verdict out."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import hypot, prod
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.base.interactive import shown_progress
+from clacad.base.types import Progress
+from clacad.measuring.find_lattice import NotMeasurable
+from clacad.measuring.fit_lenslets import Lenslets, fit_lenslets, plane_of
+from clacad.measuring.form_and_seams import Surface, surface_of
+from clacad.measuring.judge_scan import Scanned, scan_checks
+from clacad.measuring.light_through_form import light_through_form, texture_share
+from clacad.measuring.measured import Measured
+from clacad.measuring.read_map import MeasuredMap, read_map
+from clacad.measuring.scales import HEIGHTS, LATERAL, Scale, Stated, scale_by_tilt, scale_of
+from clacad.measuring.sides import Name, Side, sides_of
+from clacad.prescription.prescribe import prescribe
+from clacad.storage.errors import BadRequest
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+Path = str | os.PathLike[str]
+
+
+@dataclass(frozen=True)
+class Maps:
+    """Maps of one part and the scales of the instrument, as `measure` takes them."""
+
+    front: Path | None = None
+    back: Path | None = None
+    tilted: Path | None = None
+    z_scale: Stated = None
+    lateral_scale: Stated = None
+    unit: str | None = None
+
+    def measured(self, design: Design, progress: Progress) -> Measured:
+        """Measure the part; see `measure`."""
+        return measure(
+            design,
+            self.front,
+            self.back,
+            tilted=self.tilted,
+            z_scale=self.z_scale,
+            lateral_scale=self.lateral_scale,
+            unit=self.unit,
+            progress=progress,
+        )
+
+
+SURE = 2e-5
+"""Relative difference of the pitches by which a lateral scale that is not stated is borne out at best."""
+
+LIKE = (0.5, 2.0)
+"""Range of heights of a map over that of the design's lenslets."""
+
+STEEPEST = 0.25
+"""Largest tilt (radians) of a map."""
+
+LIT = 550e-9
+"""Wavelength (metres) of the texture's phase where the design states none."""
+
+
+def measure(
+    design: Design,
+    front: Path | MeasuredMap | None = None,
+    back: Path | MeasuredMap | None = None,
+    *,
+    tilted: Path | None = None,
+    z_scale: Stated = None,
+    lateral_scale: Stated = None,
+    unit: str | None = None,
+    progress: Progress | None = None,
+) -> Measured:
+    """Measure a made part by height maps of its sides, and judge it by its light.
+
+    Every whole lenslet of a map is fitted: middle, radius, conic constant, astigmatism, texture, each with
+    its
+    uncertainty. Light is sent through the fitted form; sides without a map, thickness and wedge are as
+    designed.
+
+    Parameters
+    ----------
+    design : Design
+    front, back : path or None
+        Map of the side that light reaches first, and of the other: X3P, SDF, a cloud x y z, or NPY, TIFF or
+        PNG with
+        a JSON file next to it.
+    tilted : path or None
+        A second map of the field of `front` (without one: of `back`), the specimen tilted by about 8
+        degrees: it
+        gives the scale of heights.
+    z_scale, lateral_scale : str, float, (float, float) or None
+        Length in the file over the true one, with the half width of its uncertainty (95 %): "1.0063 +- 1e-4".
+        None: 1 +- 0.01 for heights; laterally as the pitch bears it out.
+    unit : str or None
+        Length unit of a cloud that states none, such as "um".
+    progress : callable or None
+        Called with a stage's name and the fraction done, 0 … 1.
+
+    Returns
+    -------
+    Measured
+
+    Raises
+    ------
+    UnreadableFile, OverBudget
+        A map is damaged, larger than is read, or holds no lenslets of the design.
+    NotPossible
+        Its reader is not installed (extra: clacad[metrology]), or the sheet cannot be compared with maps.
+    BadRequest
+        No map; a scale that cannot be understood; or a unit that is needed and not stated.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import mkdtemp
+    >>> import numpy as np
+    >>> import clacad
+    >>> design = clacad.load("window-100mm")
+    >>> at = (np.arange(150) - 74.5) * 0.01  # three cells of 0.5 mm, pixels of 0.01 mm
+    >>> cell = (at + 0.25) % 0.5 - 0.25
+    >>> scan = Path(mkdtemp()) / "front.npy"
+    >>> np.save(scan, -clacad.prescribe(design).faces[0].surface.sag(*np.meshgrid(cell, cell)))
+    >>> scales = '{"pixel_mm": 0.01, "z_step_mm": 1.0, "row_0": "bottom"}'
+    >>> _ = scan.with_name("front.npy.json").write_text(scales)
+    >>> clacad.measure(design, scan)
+    window-100mm
+      front  R 2.46814 +- 0.012, K ...
+      pass  5 checks
+    pass: light through the measured form leaves 0.166 mrad rms from the law ...
+    """
+    given: dict[Name, Path | MeasuredMap | None] = {"front": front, "back": back}
+    maps = {name: one for name, one in given.items() if one is not None}
+    if not maps:
+        raise BadRequest("no map to measure: give front, back or both")
+    told = shown_progress(progress)
+    heights, lateral = (
+        scale_of(z_scale, HEIGHTS, "z_scale"),
+        scale_of(lateral_scale, LATERAL, "lateral_scale"),
+    )
+    window = prescribe(design)
+    sides = sides_of(window, 1e-3 / design.unit_m)
+    read: dict[Name, MeasuredMap] = {}
+    for name, one in maps.items():
+        told(f"reading the {name}", 0.0)
+        read[name] = one if isinstance(one, MeasuredMap) else read_map(one, unit)
+    if tilted is not None:
+        told("finding the scale of heights", 0.2)
+        first = next(iter(read))
+        heights = _by_tilt(
+            read[first], read_map(tilted, unit), sides[first], heights, lateral.value, design.unit_m
+        )
+    fitted: dict[Name, tuple[MeasuredMap, Lenslets]] = {}
+    for name, one in read.items():
+        told(f"fitting the lenslets of the {name}", 0.3)
+        fitted[name] = _fitted(one, sides[name], heights.value, lateral.value, design.unit_m)
+    found = _surfaces(fitted, sides, heights, lateral)
+    told("sending light through the measured form", 0.6)
+    light = light_through_form(
+        window, {name: one.lit for name, one in found.items()}, design.check.field, design.check.field_centre
+    )
+    wavelength = window.wavelength or LIT
+    shares = [
+        texture_share(one.texture * design.unit_m, one.lit.side.body.index, wavelength)
+        for one in found.values()
+    ]
+    judged = Scanned(design, found, light, heights, lateral, wavelength)
+    told("done", 1.0)
+    return Measured(design, found, heights, lateral, light, prod(shares), scan_checks(judged))
+
+
+def _surfaces(
+    fitted: Mapping[Name, tuple[MeasuredMap, Lenslets]],
+    sides: Mapping[Name, Side],
+    heights: Scale,
+    lateral: Scale,
+) -> dict[Name, Surface]:
+    """Measured sides; all radii together are uncertain by both scales."""
+    found = {}
+    for name, (measured, lenslets) in fitted.items():
+        half = lateral.half
+        if lateral.origin == "assumed":  # a pitch that agrees with the design's bears the scale out
+            wanted = [hypot(*sides[name].lattice.a1), hypot(*sides[name].lattice.a2)]
+            off = max(abs(p / q - 1.0) for p, q in zip(lenslets.pitch, wanted, strict=True))
+            half = min(half, max(off, SURE))
+        found[name] = surface_of(measured, sides[name], lenslets, hypot(heights.half, 2.0 * half))
+    return found
+
+
+def _fitted(
+    measured: MeasuredMap, side: Side, height: float, lateral: float, unit_m: float
+) -> tuple[MeasuredMap, Lenslets]:
+    """Map in design units with its scales taken off, and its lenslets."""
+    one = measured.scaled(lateral * unit_m, height * unit_m)
+    _refuse_heights(one, side)
+    lenslets = fit_lenslets(one, side.lattice, side.aperture, side.lenslet)
+    _, a, b = lenslets.pose
+    if hypot(a, b) > STEEPEST:
+        raise NotMeasurable(
+            f"{one.name}: it is tilted by {hypot(a, b):.2g} rad; {STEEPEST:g} rad is the most"
+        )
+    return one, lenslets
+
+
+def _refuse_heights(measured: MeasuredMap, side: Side) -> None:
+    """Refuse a map whose heights about their plane are of another order than those of the design's
+    lenslets.
+    """
+    x, y, z = measured.points
+    slopes = plane_of(measured.points)
+    low, high = np.percentile(z - slopes[0] * x - slopes[1] * y, (0.5, 99.5))
+    ratio = float(high - low) / side.sag
+    if not LIKE[0] <= ratio <= LIKE[1]:
+        factor = next((f for f in (1000.0, 0.001) if LIKE[0] <= ratio / f <= LIKE[1]), None)
+        hint = f": a unit of heights 1000 times too {'small' if ratio < 1.0 else 'large'}" if factor else ""
+        raise NotMeasurable(
+            f"{measured.name}: its heights range over {ratio:.3g} times those of the design{hint}"
+        )
+
+
+def _by_tilt(
+    level: MeasuredMap, tilted: MeasuredMap, side: Side, before: Scale, lateral: float, unit_m: float
+) -> Scale:
+    """Scale of heights from two maps of one field; found twice, the second time nearly there."""
+    scale = before
+    for _ in range(2):
+        one, two = (_fitted(each, side, scale.value, lateral, unit_m)[1] for each in (level, tilted))
+        scale = scale_by_tilt(one, two, scale)
+    return scale
+
+
+def maps_of(paths: Sequence[str | os.PathLike[str]], sides: Mapping[str, str], stated: Maps) -> Maps:
+    """Maps of files: their sides as stated, else by their names, else the front and then the back.
+
+    sides : File name → "front" or "back".
+    Raises BadRequest: Two files of one side, more than two, or a side of a file that is not given.
+    """
+    found: dict[str, Path] = {}
+    names = {os.path.basename(path): path for path in paths}
+    idle = [name for name in sides if name not in names or sides[name] not in ("front", "back")]
+    if idle or len(paths) > 2:
+        what = f"--side {idle[0]}={sides[idle[0]]}" if idle else f"{len(paths)} files"
+        raise BadRequest(f"{what}: a part has a front and a back, one map each: --side FILE=front")
+    for name, path in names.items():
+        by_name = [side for side in ("front", "back") if side in name.lower()]
+        free = [side for side in ("front", "back") if side not in found]
+        side = sides.get(name) or (by_name[0] if len(by_name) == 1 else free[0])
+        if side in found:
+            raise BadRequest(
+                f"{os.path.basename(found[side])} and {name} are both of the {side}: --side FILE=back"
+            )
+        found[side] = path
+    return replace(stated, front=found.get("front"), back=found.get("back"))

@@ -1,0 +1,430 @@
+"""Lenses of a non-uniform sheet: each cell has a target, and its lens 2 is built for it.
+
+    target of cell c    law_c, and the slope u_c of the chief ray that the cell is made for
+    build of cell c     centre of cell 2: where that ray arrives (`aimed_cells`), or at the pitch of its array
+                        (`sharp_pairs`), or as in every cell
+                        vertex 2: the offset by law_c from lens 1, moved until the mean exit direction of the
+                        light of slope u_c is that of law_c (`traced_vertices`)
+                        size of both lenses: by the η of law_c
+
+Lens 2 has one offset D_c from its place in the middle cell, relative to lens 1. Its cell has another, A C
+with C the centre of cell 1. Within its cell it is therefore displaced by D_c − A C. Tilted lenses move in
+their own lens plane, which is not the sheet's: the rise of a lens is that of D_c, and each pair stays
+confocal. Lens 1 stays centred: shared between both lenses, the decentre would cause more coma. Off its vertex
+lens 2 refracts its light too far, by 6 mrad at a slope of .125 and R2/p = 5, which is why it is moved.
+
+Lenses of a sheet with an η per cell are those of the sheet's law, scaled in each cell.
+
+All pairs share one separation s and are afocal at it: f1 = s/(1 − η), f2 = −η f1. With equal η along both
+axes, a lens of another focal length has the same shape (conic constants included), scaled by k:
+
+    slab, plano, thin recipe    k1 = (1 − η0)/(1 − η),  k2 = k1 η/η0           η0: of the sheet's law
+    biconvex, thick             k = R/R0 of the pair that is confocal with exactly η at the common thicknesses
+    given faces                 as lenses of their form; those of the sheet's η are as given
+
+Biconvex cells on either side of a border share one height of its middle; lenses of different radii reach the
+border at two heights. η may therefore change from cell to cell by `STEP` at most.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clacad.base.types import Floats, Ints, Pair2
+from clacad.design.asked_cells import cell_laws
+from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
+from clacad.optics.law.focusing import ratios_of, refract_each
+from clacad.prescription.aimed_cells import STEEPEST, AimPoint, aimed
+from clacad.prescription.bodies import FieldCells
+from clacad.prescription.radii import NoSuchLens, biconvex_exact, thin_pair
+from clacad.prescription.sharp_pairs import (
+    chief_focal_lengths,
+    inclined_sizes,
+    placed_field,
+    with_focus,
+    with_pitch_2,
+)
+from clacad.prescription.traced_vertices import (
+    WAY_OUT,
+    CellLight,
+    OwnLenses,
+    field_moves,
+    moves_of,
+    traced_moves,
+)
+from clacad.sheet.cell_places import CellLaws, CellPlacement, VertexChange, as_table, lens_plane_slope
+from clacad.sheet.vignetting import aperture_slope, aperture_slopes
+from clacad.sheet.window import Body, Face, ThinPair, Window
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+MOST_TRACED = 1_000_000
+"""Greatest number of cells for which a table of vertices is made."""
+
+SIZES_KEY = "law.varying.table"
+STEP = 0.05
+"""Greatest change of η between neighbouring biconvex cells."""
+ROUNDED = 1e-12
+"""Rounding error of a difference of two η that is tolerated."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellSizes:
+    """Scale factors of the lenses of cells, relative to those of the sheet's law.
+
+    built : (2, n). Of lens 1 and lens 2 as built.
+    thin : (2, n). Of the equivalent thin lenses.
+    focal : (n,). Displacement of lens 2 over δ, the focal length of an afocal lens 1, over the sheet's.
+    """
+
+    built: Floats
+    thin: Floats
+    focal: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """What each kept cell is made for.
+
+    cells : (n, 2)
+    deltas : (n, 2). δ of each law.
+    slopes : (n, 2). Slopes in air of the chief rays, sheet frame.
+    sizes : None: one η, and one size of lenses.
+    key : Key of the design that errors name.
+    """
+
+    cells: Ints
+    deltas: Floats
+    slopes: Floats
+    sizes: CellSizes | None
+    key: str = LAW.varying
+
+
+def with_own_cells(window: Window, design: Design, field: FieldCells | None = None) -> Window:
+    """Return the window of a design's middle cell with the cells and lenses 2 that each cell's target needs.
+
+    window : Uniform, for the law of the design's centre.
+    field : Cells of a field lens.
+    Raises NoSuchLens: CL121, CL125: too many vertices to trace; CL122: the viewer is too near; CL123: a lens
+        would be used too far from its vertex, its cell is named.
+    Raises DesignError: The table of cells cannot be read.
+    """
+    inclined = design.pair.focus is not None and window.law.theta != 0.0
+    varying, offset = design.law_spec.varying is not None or inclined, design.pair.offset
+    aims = isinstance(design.lattice.aperture, AimedAt)
+    traced = offset == "traced" or (offset is None and (varying or aims))
+    if varying or (traced and aims):
+        _refuse_many(design.lattice.count, aims)
+    if varying:
+        window = replace(window, cell_laws=cell_laws(design))
+    placed = _placed(window, design, field)
+    if field is not None:
+        placed = placed_field(placed, field, window.shifts[1])
+    if placed.uniform:
+        return _moved_alike(window) if traced else window
+    if not varying and not traced:
+        return placed
+    aim = AimPoint(design.lattice.aperture.point) if isinstance(design.lattice.aperture, AimedAt) else None
+    targets = _targets(placed, design, aim)
+    lens_turn = next(face.rotation for face in window.faces if face.array == 1)
+    slope = (0.0, 0.0) if placed.cell_laws is None else lens_plane_slope(lens_turn)
+    table = np.zeros(targets.slopes.shape)
+    if varying:
+        ratio = None if targets.sizes is None else targets.sizes.focal
+        focal = window.recipe["f"][0] if field is None or field.focal is None else field.focal
+        if inclined:
+            focal = chief_focal_lengths(design, window.recipe["T"], window.recipe["n"], window.recipe["s"])
+        table = _by_rule(window, targets.deltas, np.array(focal), lens_turn, ratio)
+        if inclined:  # lenses 2 follow their cells
+            table = table - _followed(placed.placements[1], placed, targets.cells)
+        _refuse_far(placed, targets, table, aims)
+    if traced:
+        follow = _followed(placed.placements[1], placed, targets.cells)
+        drift = 1.0 if not aims else 0.0 if field is None else field.drift
+        first = table + drift * follow if drift and placed.placements[1].own else table
+        light = _light(placed, targets, first, slope, aims)
+        if field is not None:
+            light = replace(light, field=field_moves(window, placed, targets.cells))
+        table = table + moves_of(window, light)
+        _refuse_far(placed, targets, table, aims)
+    made = _with_tables(placed, targets, table, slope)
+    return replace(made, thin=_thin(placed, targets, inclined)) if varying else made
+
+
+def _followed(place: CellPlacement, window: Window, cells: Ints) -> Floats:
+    """Displacement (n, 2), lengths, of the cells of array 2 beyond that of the middle one."""
+    lattice = window.lattice
+    return np.asarray(place.lattice(lattice).centres(cells) - lattice.centres(cells))
+
+
+def _placed(window: Window, design: Design, field: FieldCells | None) -> Window:
+    """Window with the cells of array 2 where they belong; the offset of lens 2 from lens 1 is unchanged, or
+    follows its cell where array 2 has a pitch of its own.
+    """
+    if design.pair.focus is not None:
+        return with_focus(window, design)
+    if design.lattice.pitch_2 is not None or design.lattice.rotation_2:
+        return with_pitch_2(window, design, None if field is None else field.spread_focal)
+    if isinstance(design.lattice.aperture, AimedAt):
+        return aimed(window, design, field)
+    return window
+
+
+def _refuse_many(count: tuple[int, int], aims: bool) -> None:
+    """Refuse a table of more lenses than are traced."""
+    if count[0] * count[1] > MOST_TRACED:
+        raise NoSuchLens(
+            f"a sheet {'aimed at a point' if aims else 'whose law varies'} has a table of vertices:"
+            f" {count[0] * count[1]:,} cells are more than the {MOST_TRACED:,} that it may have",
+            key=LATTICE.count,
+            code="CL121" if aims else "CL125",
+            hint='pair.offset = "paraxial", or fewer cells' if aims else "fewer cells",
+        )
+
+
+def _moved_alike(window: Window) -> Window:
+    """Uniform window with lens 2 moved until light of the field centre leaves as the law requires."""
+    move = traced_moves(window, np.array([aperture_slope(window)]))[0]
+
+    def moved(face: Face) -> Face:
+        x, y, z = face.vertex
+        return replace(face, vertex=(x + float(move[0]), y + float(move[1]), z)) if face.array == 1 else face
+
+    bodies = tuple(replace(body, front=moved(body.front), back=moved(body.back)) for body in window.bodies)
+    return replace(window, bodies=bodies)
+
+
+# -- targets -------------------------------------------------------------------------------------------
+
+
+def _targets(placed: Window, design: Design, aim: AimPoint | None) -> Targets:
+    """Targets of the kept cells of a window whose arrays are placed."""
+    lattice, laws = placed.lattice, placed.cell_laws
+    cells = lattice.cells()
+    slopes = aperture_slopes(placed, cells) if aim is None else aim.slopes(lattice.centres(cells))
+    deltas = (CellLaws(placed.law) if laws is None else laws).deltas(lattice, cells)
+    sizes = None if laws is None or laws.ratios is None else sizes_of(placed, design, laws)
+    if design.pair.focus is not None and placed.law.theta != 0.0:
+        built, thin = (np.stack([size, np.ones(len(size))]) for size in inclined_sizes(placed, design, cells))
+        return Targets(cells, deltas, slopes, CellSizes(built, thin, np.ones(len(cells))), PAIR.focus)
+    return Targets(cells, deltas, slopes, sizes)
+
+
+def _light(window: Window, targets: Targets, first: Floats, slope: Pair2, aims: bool) -> CellLight:
+    """Light of the chief ray of each cell, its expected exit direction, and what both depend on.
+
+    The moves are functions of slope and law. Where both are linear in the place of the cell, they are
+    functions of either.
+    """
+    laws, light = window.cell_laws, np.column_stack([targets.slopes, np.ones(len(targets.slopes))])
+    if laws is None:
+        asked = window.law.refract(light)
+        asked = asked / np.linalg.norm(asked, axis=-1, keepdims=True)
+        return CellLight(targets.slopes, asked, first, targets.slopes)
+    etas = None if laws.ratios is None else laws.ratios_of(window.lattice, targets.cells)
+    asked = refract_each(window.law, targets.deltas, light, etas)
+    oblique = aims or window.placements[1].own
+    variables = [targets.slopes] if oblique else []
+    placed_alone = targets.sizes is not None and etas is None  # lenses and laws follow from the place alone
+    if not placed_alone and (laws.smooth is None or not oblique):
+        variables.append(targets.deltas)
+    own = None
+    if etas is not None:
+        variables.append(etas[:, :1])
+    if targets.sizes is not None:
+        ratio = np.full(len(targets.cells), window.law.eta_x) if etas is None else etas[:, 0]
+        own = OwnLenses(targets.sizes.built, np.minimum(1.0, 1.0 / np.abs(ratio)))
+    return CellLight(targets.slopes, asked, first, np.column_stack(variables), targets.key, slope, own)
+
+
+def _by_rule(window: Window, deltas: Floats, focal: Floats, turn: Floats, size: Floats | None) -> Floats:
+    """Displacement (n, 2) of lens 2, lengths, by d = δ f1 from δ (n, 2).
+
+    `focal` (2,) is f1 of the law, turn (3, 3) lens → sheet, `size` (n,) the ratio of each cell's f1 to the
+    law's; None: 1.
+    """
+    law = window.law
+    if size is not None:
+        deltas = deltas * size[:, None]
+    over = deltas - (law.delta_x, law.delta_y)
+    lens = np.where(over == 0.0, 0.0, over * np.where(np.isfinite(focal), focal, 0.0))
+    return np.asarray(lens @ turn[:2, :2].T)
+
+
+# -- lenses --------------------------------------------------------------------------------------------
+
+
+def _with_tables(window: Window, targets: Targets, table: Floats, slope: Pair2) -> Window:
+    """Window with lenses 2 displaced by `table` (n, 2), lengths, in addition, and lenses of many sizes."""
+    sizes = [None, None] if targets.sizes is None else _tables(window, targets, targets.sizes.built)
+    moved = as_table(window.lattice, targets.cells, table)
+
+    def changed(face: Face) -> Face:
+        if face.array == 1:
+            return replace(face, change=_change(face.change, moved, slope, sizes[1]))
+        if face.array == 0 and sizes[0] is not None:
+            return replace(face, change=VertexChange(size=sizes[0]))
+        return face
+
+    def faces(body: Body) -> Body:
+        return replace(body, front=changed(body.front), back=changed(body.back))
+
+    return replace(window, bodies=tuple(map(faces, window.bodies)))
+
+
+def _thin(window: Window, targets: Targets, inclined: bool) -> ThinPair:
+    """Ideal pair of a window whose law varies, or with inclined planes that its pairs image."""
+    pair, sizes = window.thin, targets.sizes
+    ratio = None if sizes is None or inclined else sizes.thin[0]
+    focal = thin_pair(ratios_of(window.law), pair.separation)[0] if inclined else pair.focal_length[0]
+    ideal = _by_rule(window, targets.deltas, np.array(focal), pair.rotation, ratio)
+    if inclined:
+        ideal = ideal - _followed(pair.second, window, targets.cells)
+    size = [None, None] if sizes is None else _tables(window, targets, sizes.thin)
+    change = _change(
+        pair.change, as_table(window.lattice, targets.cells, ideal), lens_plane_slope(pair.rotation), size[1]
+    )
+    return replace(pair, change=change, change_1=None if size[0] is None else VertexChange(size=size[0]))
+
+
+def _change(affine: VertexChange | None, table: Floats, slope: Pair2, size: Floats | None) -> VertexChange:
+    """Displacements of `affine`, which keeps lens 2 in place while its cell moves, and a table (lengths)."""
+    affine = affine or VertexChange()
+    (xx, xy), (yx, yy) = affine.gradient
+    along, across = affine.climb
+    climb = along - (slope[0] * xx + slope[1] * yx), across - (slope[0] * xy + slope[1] * yy)
+    return VertexChange(affine.gradient, table, slope, size, climb)
+
+
+def _tables(window: Window, targets: Targets, sizes: Floats) -> list[Floats]:
+    return [as_table(window.lattice, targets.cells, size, 1.0) for size in sizes]
+
+
+def _refuse_far(window: Window, targets: Targets, table: Floats, aims: bool) -> None:
+    """Refuse a lens whose cell reaches too far from its vertex for its radius, naming the worst."""
+    if window.cell_laws is None:
+        return  # the steepest cell is known without tables
+    cells = targets.cells
+    half = window.lattice_of(1).tile().max(axis=0)
+    for face in window.faces:
+        if face.array != 1:
+            continue
+        still = 0.0 if face.change is None else face.change.at(window.lattice, cells)
+        place = np.abs(np.asarray(face.vertex[:2]) + (still + table)) + half
+        curved = np.broadcast_to(np.abs([face.surface.curvature_x, face.surface.curvature_y]), place.shape)
+        if targets.sizes is not None:
+            curved = curved / targets.sizes.built[1][:, None]
+        steep = place * curved
+        worst = np.unravel_index(int(np.argmax(steep)), steep.shape)
+        if not steep[worst] <= STEEPEST:
+            (i, j), axis = cells[worst[0]].tolist(), int(worst[1])
+            own = half[axis] * curved[worst]
+            over = (steep[worst] - own) / (STEEPEST - own)
+            most = abs(float(targets.deltas[worst[0], axis]))
+            way = (
+                WAY_OUT
+                if aims
+                else f"|delta_{'xy'[axis]}| up to {most / over:.4g} (here {most:.4g}): planes farther off by"
+                f" {over:.3g}, or a smaller sheet"
+                if over > 0.0
+                else "a smaller pitch, or a larger separation"
+            )
+            raise NoSuchLens(
+                f"cell ({i}, {j}) would reach {place[worst]:.4g} from the vertex of its lens 2 in"
+                f" {'xy'[axis]}, which is {steep[worst]:.3g} of the radius there; its light cannot be held"
+                f" beyond {STEEPEST:g}",
+                key=targets.key,
+                code="CL123",
+                hint=way,
+            )
+
+
+# -- sizes ---------------------------------------------------------------------------------------------
+def sizes_of(window: Window, design: Design, laws: CellLaws) -> CellSizes:
+    """Scale factors of the lenses of all kept cells of a sheet with an η per cell.
+
+    Raises NoSuchLens: A lens ends inside its cell or is too thick; biconvex neighbours differ by more than
+        `STEP`. The message names the cell.
+    """
+    cells = window.lattice.cells()
+    etas = laws.ratios_of(window.lattice, cells)[:, 0]
+    thin = thin_sizes(etas, window.law.eta_x)
+    if design.pair.form == "biconvex":
+        _refuse_steps(window, laws, cells, etas)
+    if design.pair.form == "biconvex" and design.pair.confocal == "exact":
+        built, focal = _thick(window, cells, etas)
+    else:
+        built, focal = thin, thin[0]
+    if not design.pair.given:  # given faces may reach farther: `cell_heights.refuse_no_faces`
+        _refuse_small(window, cells, etas, built)
+    return CellSizes(built, thin, focal)
+
+
+def thin_sizes(etas: Floats, eta: float) -> Floats:
+    """Focal lengths (2, n) of pairs with `etas` (n,), over those of a pair with `eta` at the same s."""
+    first = (1.0 - eta) / (1.0 - etas)
+    return np.stack([first, first * (etas / eta)])
+
+
+def _thick(window: Window, cells: Ints, etas: Floats) -> tuple[Floats, Floats]:
+    """Radii (2, n) and focal lengths (n,) of thick lenses 1, each over those for the sheet's law."""
+    recipe, eta = window.recipe, window.law.eta_x
+    base = biconvex_exact((eta, eta), recipe["s"], tuple(recipe["T"]), recipe["n"])
+    values, first, which = np.unique(etas, return_index=True, return_inverse=True)
+    found = np.empty((3, len(values)))
+    for k, eta in enumerate(values.tolist()):
+        try:
+            pair = biconvex_exact((eta, eta), recipe["s"], tuple(recipe["T"]), recipe["n"])
+        except NoSuchLens as error:
+            i, j = cells[first[k]].tolist()
+            message = f"cell ({i}, {j}), eta = {eta:g}: {error.message}"
+            raise NoSuchLens(message, SIZES_KEY, error.hint) from error
+        found[:, k] = (
+            pair.radius[0][0] / base.radius[0][0],
+            pair.radius[1][0] / base.radius[1][0],
+            pair.focal_length[0][0] / base.focal_length[0][0],
+        )
+    return found[:2, which], found[2, which]
+
+
+def _refuse_steps(window: Window, laws: CellLaws, cells: Ints, etas: Floats) -> None:
+    """Refuse biconvex neighbours whose η differ by more than `STEP`, naming the worst."""
+    lattice = window.lattice
+    for step in lattice.steps[: len(lattice.steps) // 2]:
+        beside = cells + np.array(step)
+        there = np.where(lattice.contains(beside), laws.ratios_of(lattice, beside)[:, 0], etas)
+        apart = np.abs(there - etas)
+        worst = int(np.argmax(apart))
+        if apart[worst] > STEP * (1.0 + ROUNDED) + ROUNDED:
+            (i, j), (k, m) = cells[worst].tolist(), beside[worst].tolist()
+            raise NoSuchLens(
+                f"biconvex cells ({i}, {j}) and ({k}, {m}) with eta = {etas[worst]:g} and {there[worst]:g}:"
+                " columns of lenses so unlike do not meet in their border; neighbours may differ by"
+                f" {STEP:g}",
+                SIZES_KEY,
+                'eta that changes more slowly, or pair.form = "slab" or "plano"',
+                "CL125",
+            )
+
+
+def _refuse_small(window: Window, cells: Ints, etas: Floats, sizes: Floats) -> None:
+    """Refuse a lens whose radius is below half the diagonal of its cell: its surface ends inside the cell."""
+    reach = window.lattice.circumradius
+    for array, size in enumerate(sizes):
+        face = next(face for face in window.faces if face.array == array)
+        radius = size / abs(face.surface.curvature_x)
+        worst = int(np.argmin(radius))
+        if radius[worst] < reach:
+            i, j = cells[worst].tolist()
+            raise NoSuchLens(
+                f"lens {array + 1} of cell ({i}, {j}), eta = {etas[worst]:g}, would have the radius"
+                f" {radius[worst]:.6g}, less than half the diagonal of its cell ({reach:.6g}): the surface"
+                " ends inside the cell",
+                SIZES_KEY,
+                f"pitch < {max(window.lattice.pitch) * radius[worst] / reach:.6g}, or an eta nearer to the"
+                " others",
+            )

@@ -1,0 +1,282 @@
+"""Figures and tables of the pages on accuracy, stability, effects and daylight: computed by the commands that the pages name."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+SCENES = (
+    "effects-narrow",
+    "effects-wide",
+    "effects-unresolved",
+    "fig3-z-8",
+    "window-400mm-aimed",
+    "negative-space",
+)
+STARTERS = ("achromat", "achromat-plastic", "two-plates-10deg", "three-plates-10deg")
+
+
+def clacad(*words: str) -> str:
+    """Standard output of a command, run in this process from the root of the repository."""
+    from clacad.cli.app import run
+
+    printed, before = io.StringIO(), Path.cwd()
+    os.chdir(ROOT)
+    try:
+        with contextlib.redirect_stdout(printed):
+            status = run(words)
+    finally:
+        os.chdir(before)
+    if status not in (0, 1):
+        raise RuntimeError(f"clacad {' '.join(words)} ended with {status}")
+    return printed.getvalue()
+
+
+def axes(width: float, height: float) -> tuple[Any, Any]:
+    """A figure without a display."""
+    import matplotlib
+
+    matplotlib.use("svg")
+    matplotlib.rcParams.update({"svg.hashsalt": "clacad", "font.size": 9})
+    from matplotlib import pyplot
+
+    return pyplot.subplots(figsize=(width, height), layout="constrained")
+
+
+def accuracy(folder: Path) -> None:
+    """Error against seconds of every rung, the least error of every file format, and the conclusion."""
+    found = json.loads(clacad("accuracy", "designs/paper-a-covered.toml", "--rays", "10000", "--json"))
+    rows = [row for row in found["rows"] if row["float"] == "f64" and "float32" not in row["setting"]]
+    _draw_rungs(folder / "accuracy.svg", rows)
+    cost = _table(
+        ["traced", "rms error / mrad", "µs a ray"],
+        (
+            [_rung(row), f"{1e3 * row['model_rms']:.2g}", f"{1e6 * row['seconds'] / row['rays']:.2g}"]
+            for row in rows
+        ),
+    )
+    floors = _table(
+        ["file", "normals", "least error / mrad", "at quads a cell side"],
+        (
+            [one["formats"], one["normals"], f"{1e3 * one['floor']:.2g}", f"{one['best_quads']:.3g}" if one["best_quads"] else ""]
+            for one in found["floors"]
+            if one["floor"] is not None
+        ),
+        texts=2,
+    )  # fmt: skip
+    (folder / "accuracy.md").write_text(f"**{found['conclusion']}**\n\n{cost}", encoding="utf-8")
+    (folder / "floors.md").write_text(floors, encoding="utf-8")
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]], texts: int = 1) -> str:
+    """A table of Markdown; columns after the first `texts` hold numbers."""
+    lines = [head, ["---"] * texts + ["---:"] * (len(head) - texts), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+def _rung(row: Mapping[str, Any]) -> str:
+    """Name of a row: "mesh, 8 quads, facet normals"."""
+    names = {
+        "law": "law",
+        "thin": "thin lenslets",
+        "surfaces": "exact faces",
+        "step": "STEP file, read again",
+    }
+    return names.get(row["rung"], f"{row['rung']}, {row['setting']}")
+
+
+def _draw_rungs(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Error against processor time; meshes are two lines, every other rung is one labelled point."""
+    figure, ax = axes(6.4, 4.4)
+
+    def place(row: Mapping[str, Any]) -> tuple[float, float]:
+        return 1e6 * row["seconds"] / row["rays"], 1e3 * row["model_rms"]
+
+    for normals, colour in (("facet", "#e07b39"), ("vertex", "#8c4a8c")):
+        mesh = [row for row in rows if row["rung"] == "mesh" and row["normals"] == normals]
+        ax.plot(
+            *zip(*map(place, mesh), strict=True), "o-", ms=5, color=colour, label=f"mesh, {normals} normals"
+        )
+        for row in (mesh[0], mesh[-1]):
+            ax.annotate(
+                f"{row['quads']} quads", place(row), (7, -3), textcoords="offset points", color=colour
+            )
+    for rung, mark, colour, label in (
+        ("law", "D", "#555555", "law"), ("thin", "s", "#3a7d44", "thin lenslets"),
+        ("surfaces", "*", "#1a5fb4", "exact faces"), ("step", "P", "#b3261e", "STEP file, read again"),
+    ):  # fmt: skip
+        (row,) = [row for row in rows if row["rung"] == rung]
+        ax.plot(*place(row), mark, ms=12 if mark == "*" else 7, color=colour, label=label)
+    ax.set(xscale="log", yscale="log", xlabel="processor time / µs a ray", ylabel="rms angular error / mrad")
+    ax.margins(0.1)
+    ax.grid(color="#dddddd", lw=0.6)
+    ax.legend(loc="upper right")
+    figure.savefig(path, metadata={"Date": None})
+
+
+def stability(folder: Path) -> None:
+    """Error of every hard case over what is allowed, by the textbook's formulas and by those of the program."""
+    rows = json.loads(clacad("accuracy", "--hard", "--json"))["rows"]
+    figure, ax = axes(6.4, 3.8)
+    least, most = 1e-3, 1e20
+    order = sorted(range(len(rows)), key=lambda k: _size(rows[k]["textbook"], most))
+    for word, mark, colour in (("textbook", "x", "#b3261e"), ("clacad", "o", "#1a5fb4")):
+        values = [min(max(_size(rows[k][word], most) / rows[k]["allowed"], least), most) for k in order]
+        ax.plot(values, mark, ms=2.5, color=colour, label=f"{word} formulas" if word == "textbook" else word)
+    ax.axhline(1.0, color="black", lw=0.8)
+    ax.set_yscale("log")
+    ax.set_xlabel(f"{len(rows)} hard cases, ordered by the error of the textbook's formulas")
+    ax.set_ylabel("error / allowed error")
+    ax.text(0, 1.6, "allowed", va="bottom")
+    ax.legend(loc="upper left")
+    figure.savefig(folder / "stability.svg", metadata={"Date": None})
+    worst = max(rows, key=lambda row: _size(row["clacad"], most) / row["allowed"])
+    bad = sum(_size(row["textbook"], most) > row["allowed"] for row in rows)
+    text = (
+        f"{len(rows)} cases; the textbook's formulas exceed the allowed error in {bad} of them, clacad in"
+        f" {sum(not row['holds'] for row in rows)}. The case nearest to its limit is “{worst['case']}” ({worst['quantity']}):"
+        f" {_size(worst['clacad'], most):.2g} of {worst['allowed']:.2g} allowed.\n"
+    )
+    (folder / "stability.md").write_text(text + "\n" + _worst_of_textbook(rows, most), encoding="utf-8")
+
+
+def _worst_of_textbook(rows: Sequence[Mapping[str, Any]], most: float) -> str:
+    """Reasons of hard cases, each with the case in which the textbook's formula is most wrong."""
+    worst: dict[str, Mapping[str, Any]] = {}
+    for row in sorted(rows, key=lambda row: -_size(row["textbook"], most)):
+        worst.setdefault(row["why"], row)
+    shown = sorted(worst.values(), key=lambda row: -_size(row["textbook"], most) / row["allowed"])[:10]
+    return _table(
+        ["case", "why it is hard", "textbook", "clacad", "allowed"],
+        (
+            [_plain(f"{row['case']} ({row['quantity']})"), _plain(row["why"]), _number(row["textbook"]),
+             _number(row["clacad"]), _number(row["allowed"])]
+            for row in shown
+        ),
+        texts=2,
+    )  # fmt: skip
+
+
+def _plain(text: str) -> str:
+    """Text as a cell of a table."""
+    return re.sub(r"([|*_`<>$\\])", r"\\\1", text)
+
+
+def _number(value: Any) -> str:
+    """Error in units of rounding; what is no number is a wrong answer."""
+    return (
+        f"{value:.2g}" if isinstance(value, int | float) and np.isfinite(value) else str(value or "no number")
+    )
+
+
+def _size(value: Any, otherwise: float) -> float:
+    """Error in units of rounding; a wrong fate or no number counts as the largest."""
+    return float(value) if isinstance(value, int | float) and np.isfinite(value) else otherwise
+
+
+def effects(folder: Path) -> None:
+    """Which effects run in which scene, and what the plan of each scene costs."""
+    plans = {
+        scene: json.loads(clacad("effects", f"designs/scenes/{scene}.toml", "--json")) for scene in SCENES
+    }
+    sheets = {scene: plan.get("sheets", [plan]) for scene, plan in plans.items()}
+    states = {scene: dict(_states(found)) for scene, found in sheets.items()}
+    _draw_plans(folder / "effects.svg", states)
+    rows = [
+        [f"`{scene}`", ", ".join(name for name, state in states[scene].items() if state == 2) or "none",
+         f"{max(one['cost'] for one in sheets[scene]):.3g} ×"]
+        for scene in SCENES
+    ]  # fmt: skip
+    costs = _table(["scene", "simulated", "time, of the bare trace"], rows, texts=2)
+    (folder / "effects.md").write_text(costs, encoding="utf-8")
+    text = clacad("effects", "designs/scenes/effects-wide.toml")
+    (folder / "effects.txt").write_text(text, encoding="utf-8")
+
+
+def _states(sheets: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, int]]:
+    """Effects of a scene: 0, left out with a bound; 1, left out without a bound; 2, simulated in any of its sheets."""
+    states = {"on": 2, "unknown": 1}
+    for same in zip(*(sheet["effects"] for sheet in sheets), strict=True):
+        yield same[0]["effect"], max(states.get(one["state"], 0) for one in same)
+
+
+def _draw_plans(path: Path, states: Mapping[str, Mapping[str, int]]) -> None:
+    """One square for every effect of every scene."""
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Patch
+
+    names = list(next(iter(states.values())))
+    shown = np.array([[found[name] for name in names] for found in states.values()])
+    figure, ax = axes(6.4, 3.4)
+    colours = ["#d8d8d8", "#f5c211", "#1a5fb4"]
+    ax.imshow(shown, cmap=ListedColormap(colours), vmin=0, vmax=2, aspect="auto")
+    ax.set_xticks(range(len(names)), names, rotation=40, ha="right")
+    ax.set_yticks(range(len(states)), list(states))
+    for side in ax.spines.values():
+        side.set_visible(False)
+    ax.set_xticks(np.arange(-0.5, len(names)), minor=True)
+    ax.set_yticks(np.arange(-0.5, len(states)), minor=True)
+    ax.grid(which="minor", color="white", lw=2)
+    ax.tick_params(which="minor", length=0)
+    labels = ("left out, with a bound", "no bound is known", "simulated")
+    patches = [Patch(color=colour, label=label) for colour, label in zip(colours, labels, strict=True)]
+    figure.legend(handles=patches, loc="outside upper center", ncols=3, frameon=False)
+    figure.savefig(path, metadata={"Date": None})
+
+
+def daylight(folder: Path) -> None:
+    """White light through the starters for daylight and for wide fields, next to a slab of one material."""
+    from clacad.advice import judge
+    from clacad.design import Design, load
+    from clacad.design.starter_designs import template
+
+    designs = {"designs/window-100mm.toml": load(ROOT / "designs" / "window-100mm.toml")}
+    for kind in STARTERS:
+        designs[kind] = Design.from_dict(tomllib.loads(template(kind, kind)))
+    rows = []
+    for name, design in designs.items():
+        checks = {one.id: one for one in judge(design.with_cells((12, 12))).light}
+        white, colour, warm = checks["law_white"], checks["colour"], checks["temperature"]
+        values = (white.value, colour.value, warm.value, white.detail["floor"])
+        field = f"{np.degrees(design.check.field):.3g}"
+        rows.append([f"`{name}`", field, *(f"{1e3 * v:.3g}" if np.isfinite(v) else "" for v in values)])
+    head = [
+        "design",
+        "field / deg",
+        "`law_white` / mrad",
+        "`colour` / mrad",
+        "`temperature` / mrad",
+        "floor of one material / mrad",
+    ]
+    (folder / "daylight.md").write_text(_table(head, rows), encoding="utf-8")
+
+
+def cloak(folder: Path) -> None:
+    """The view through the cloak of three sheets, by their exact faces: ring in it, no ring, ring without sheets."""
+    from PIL import Image
+
+    from clacad.rendering.picture import view_through
+    from clacad.scene import load_scene
+
+    scene = load_scene(ROOT / "designs" / "scenes" / "cloak.toml").replace({"camera.pixels": [120, 120]})
+    away = scene.replace({"object.ring.at.2": -4000.0})
+    views = [view_through(scene), view_through(away), view_through(scene, sheet=False)]
+    gap = np.ones((120, 4, 3))
+    row = np.concatenate([views[0].light, gap, views[1].light, gap, views[2].light], axis=1)
+    encoded = (255.0 * np.clip(row, 0.0, 1.0) ** (1.0 / 2.2)).astype(np.uint8)
+    Image.fromarray(encoded.repeat(2, axis=0).repeat(2, axis=1)).save(folder / "cloak.png")
+
+
+FIGURES: Mapping[str, Callable[[Path], None]] = {
+    "accuracy": accuracy, "stability": stability, "effects": effects, "daylight": daylight, "cloak": cloak
+}  # fmt: skip

@@ -1,0 +1,163 @@
+"""Every combination of a non-uniform sheet with a feature, as a file: a master that passes, a spoilt cell that does not.
+
+The features and sheets are those of `clacad explain combinations`. One combination in six is also traced, ray by ray,
+through the faces of single cells by the textbook tracer in 60 digits.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from oracle import trace as oracle
+from sheet.test_cells_of_own_eta import PRESENT as PRESENT_WITH_ETA
+from sheet.test_cells_of_own_eta import design as tabled
+from sheet.test_cells_of_own_eta import spread
+from sheet.test_varying_sheets import ITS_OWN, PRESENT, SHEET, design
+
+import clacad
+from clacad.design.combinations import ETAS, FEATURES, REASONS, SHEETS
+from clacad.formats.step.step_files import write_step
+from clacad.optics.rays import Fate
+from clacad.optics.surface import Biconic, Quadric
+from clacad.sheet.cell_places import VertexChange
+from clacad.sheet.face_order import refractions
+from clacad.sheet.vignetting import aperture_slopes
+
+OF_A_TABLE = (*ITS_OWN["law.varying"], "offset")
+"""Features that a table of cells states itself."""
+PAIRS = [
+    (sheet, feature.name)
+    for sheet in (*SHEETS, ETAS)
+    for feature in FEATURES
+    if (sheet, feature.name) not in REASONS and feature.name not in ITS_OWN.get(sheet, OF_A_TABLE)
+]
+FILES = [
+    pytest.param(*pair, marks=pytest.mark.long if k % 16 else pytest.mark.slow)
+    for k, pair in enumerate(PAIRS)
+]
+SMALL = {"lattice__count": [4, 3], "check__field": "0.1 deg", "check__process": "none"}
+SPOILT = 0.02
+"""Displacement of one lens, as part of the pitch."""
+
+
+def made(sheet, feature, folder):
+    """The design of a combination; a table of cells lies in the folder."""
+    if sheet == ETAS:
+        return tabled(folder, spread(-0.95, -1.1), **{**SMALL, **{**PRESENT, **PRESENT_WITH_ETA}[feature]})
+    return design(**{**SMALL, **SHEET[sheet], **PRESENT[feature]})
+
+
+def failing(report):
+    """Identities of the checks of written files that fail."""
+    return {check.id for check in report.checks if check.state == "fail" and check.subject.endswith(".step")}
+
+
+def one_lens_moved(window, array):
+    """The lens of an array lies a fiftieth of the pitch from its place in one cell."""
+    cell = window.lattice.cells()[-1]
+
+    def moved(face):
+        if face.array != array:
+            return face
+        change = face.change or VertexChange()
+        table = np.zeros((*window.lattice.count, 2)) if change.table is None else change.table.copy()
+        row = cell[0] + cell[1] // 2 if window.lattice.hexagonal else cell[0]
+        table[row, cell[1]] += (SPOILT * min(window.lattice.pitch), 0.0)
+        return replace(face, change=replace(change, table=table))
+
+    return replace(
+        window, bodies=tuple(replace(b, front=moved(b.front), back=moved(b.back)) for b in window.bodies)
+    )
+
+
+@pytest.mark.parametrize(("sheet", "feature"), FILES)
+def test_the_file_of_a_combination_is_a_master_and_one_lens_out_of_place_is_found(sheet, feature, tmp_path):
+    wanted = made(sheet, feature, tmp_path)
+    manifest = clacad.export(wanted, tmp_path / "right", formats=("step",))
+    (entry,) = [one for one in manifest.files if one["format"] == "step"]
+    assert entry["role"] == "optical-master"
+    right = failing(clacad.verify(wanted, files=tmp_path / "right", rays=2048))
+    assert not right
+    window = clacad.prescribe(wanted)
+    for array in range(1, len(window.placements)):
+        write_step(one_lens_moved(window, array), tmp_path / "spoilt.step")
+        assert failing(clacad.verify(wanted, files=tmp_path / "spoilt.step", rays=2048))
+
+
+def oracle_faces(window, cell):
+    """Faces of one telescopelet for the textbook tracer, in the order of the light, sheet frame."""
+    found = []
+    for _, face, before, after in refractions(window.bodies):
+        own = window.in_cell(face, cell)
+        centre = np.zeros(2) if face.array is None else window.centres(face.array, cell)
+        s = own.surface
+        place = {
+            "vertex": (own.vertex[0] + centre[0], own.vertex[1] + centre[1], own.vertex[2]),
+            "before": before, "after": after,
+        }  # fmt: skip
+        if not face.untilted:
+            place["rotation"] = own.rotation
+        if isinstance(s, Quadric):
+            found.append(oracle.quadric(s.curvature_x, s.curvature_y, s.kappa, s.side, **place))
+        else:
+            assert isinstance(s, Biconic)
+            found.append(oracle.biconic(s.curvature_x, s.curvature_y, s.conic_x, s.conic_y, s.side, **place))
+    return found
+
+
+FIELD_SHEETS = {
+    "aimed": SHEET["lattice.aperture"], "another pitch": SHEET["lattice.pitch_2"], "turned": SHEET["lattice.rotation_2"],
+    "aimed from the side": {"law__varying": None, "lattice__aperture": {"point": [12, 4, -300]}, "law__delta": [0.01, 0.0]},
+    "two pitches, turned": {**SHEET["lattice.rotation_2"], "lattice__kind": "rectangular", "lattice__pitch": [0.5, 0.5], "lattice__pitch_2": [0.4975, 0.499]},
+}  # fmt: skip
+FIELD_PAIRS = {
+    "two plates": {}, "unequal": {"law__eta": [-0.6, -0.6]}, "plano": {"pair__form": "plano"},
+    "biconvex": {"pair__form": "biconvex"}, "hexagonal": {"lattice__kind": "hexagonal"},
+    "cylinders": {"law__eta": [-1.0, -0.8]},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("sheet", "pair"),
+    [(s, p) for s in FIELD_SHEETS for p in FIELD_PAIRS if (s, p) != ("two pitches, turned", "hexagonal")],
+)
+def test_field_faces_lie_where_the_light_of_each_cell_passes_on_its_way_to_its_partner(sheet, pair):
+    """The chief ray of the textbook meets every field vertex, and the cell of array 2 in its middle."""
+    window = clacad.prescribe(
+        design(**{**SMALL, **FIELD_SHEETS[sheet], **PRESENT["field lens"], **FIELD_PAIRS[pair]})
+    )
+    faces = [face for _, face, _, _ in refractions(window.bodies)]
+    for cell in window.lattice.cells()[[0, 5, -1]]:
+        slope = aperture_slopes(window, cell[None])[0]
+        first = window.centres(0, cell)
+        path = oracle.trace(oracle_faces(window, cell), [*(first - slope), -1.0], (*slope, 1.0))
+        assert path.status == "ok"
+        points = np.array([[float(v) for v in point] for point in path.hits])
+        for face, point in zip(faces, points, strict=True):
+            if face.array == 2:
+                vertex = window.vertices(face, cell)[:2] + window.centres(2, cell)
+                off = np.abs(point[:2] - vertex)
+                bent = np.array([face.surface.curvature_x, face.surface.curvature_y]) != 0.0
+                assert off[bent].max(initial=0.0) < 2e-3 * min(window.lattice.pitch)
+        x, y, z = (float(v) for v in path.directions[-2])  # to the height of the vertex of lens 2
+        far = points[-1][:2] + (window.vertices(faces[-1], cell)[2] - points[-1][2]) / z * np.array([x, y])
+        if faces[-1].array == 1 and window.form != "biconvex":  # whose front has bent the ray before
+            assert np.abs(far - window.centres(1, cell)).max() < 2e-3 * min(window.lattice.pitch)
+
+
+@pytest.mark.parametrize(("sheet", "feature"), PAIRS[::6])
+def test_rays_of_a_combination_are_those_of_the_textbook_through_the_faces_of_their_cells(
+    sheet, feature, tmp_path
+):
+    window = clacad.prescribe(made(sheet, feature, tmp_path))
+    cells = window.lattice.cells()[[0, -1]]
+    slope = np.divide(window.thin.shift, window.thin.offset[2])
+    at = np.column_stack([window.centres(0, cells), np.full(len(cells), -1.0)])
+    start = at + [*(0.02 - slope), 0.0]
+    seen = clacad.trace(window, clacad.Rays(start, (slope[0], slope[1], 1.0)), rung="surfaces")
+    assert (seen.fate == Fate.ALIVE).all()
+    for k, cell in enumerate(cells):
+        path = oracle.trace(oracle_faces(window, cell), start[k], (slope[0], slope[1], 1.0))
+        assert path.status == "ok"
+        exact = np.array([float(v) for v in path.directions[-1]])
+        assert np.abs(seen.direction[k] - exact).max() < 1e-12

@@ -1,0 +1,125 @@
+"""`clacad verify --role scan` with height maps: sides, scales, verdicts, refusals, and what is written."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from measuring.made_parts import Made
+
+from clacad.cli import main
+from clacad.design import load
+from clacad.measuring.measure import Maps, maps_of
+from clacad.measuring.read_map import read_map
+from clacad.storage.errors import BadRequest
+
+DESIGN = str(Path(__file__).parents[2] / "designs" / "window-100mm.toml")
+SPHERE = 2.468143364277402
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory):
+    """Maps of a good front, a good back, and a front of another radius."""
+    folder = tmp_path_factory.mktemp("maps")
+    return {
+        name: Made(radius=radius, size=150, noise=5e-6, seed=seed).write(folder / f"{name}.xyz")
+        for seed, (name, radius) in enumerate(
+            {"front": SPHERE, "back": SPHERE, "other": 0.9 * SPHERE, "near": 0.979 * SPHERE}.items()
+        )
+    }
+
+
+def verified(capsys, *words: str) -> tuple[int, dict]:
+    status = main(["verify", DESIGN, "--rays", "4096", "--role", "scan", "--json", *words])
+    return status, json.loads(capsys.readouterr().out)
+
+
+def test_both_sides_are_judged_together(parts, capsys):
+    status, found = verified(
+        capsys, "--files", str(parts["front"]), str(parts["back"]), "--z-scale", "1 +- 1e-4"
+    )
+    assert (status, found["word"]) == (0, "passed as scan")
+    part = found["measured"]
+    assert set(part["sides"]) == {"front", "back"}
+    assert part["as_designed"] == ["bodies"]
+    assert {row["side"] for row in part["lenslets"]} == {"front", "back"}
+    for key in ("pitch", "turn", "tilt", "z_scale", "law_rms", "u_law_rms", "formed_share", "seam_share"):
+        assert key in part
+    assert {"i", "j", "x", "y", "z", "radius", "conic", "astigmatism", "sq", "u_radius"} <= set(
+        part["lenslets"][0]
+    )
+
+
+@pytest.mark.slow
+def test_a_part_near_the_limit_has_no_verdict(parts, capsys):
+    status, found = verified(capsys, "--files", str(parts["near"]))
+    assert (status, found["word"]) == (1, "cannot say")
+    assert "would be needed" in found["verdict"]
+
+
+@pytest.mark.slow
+def test_a_wrong_part_fails(parts, capsys):
+    status, found = verified(capsys, "--files", str(parts["other"]), "--side", "other.xyz=back")
+    assert (status, found["word"], found["measured"]["as_designed"]) == (1, "failed", ["front", "bodies"])
+
+
+def test_a_damaged_map_is_refused(tmp_path, parts, capsys):
+    path = tmp_path / "cut.xyz"
+    path.write_bytes(parts["front"].read_bytes()[:5000])
+    assert main(["verify", DESIGN, "--rays", "4096", "--role", "scan", "--files", str(path)]) == 1
+    assert "cut.xyz" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words", [["--z-scale", "1"], ["--tilted", "other.npy"], ["--side", "front.npy=front"]]
+)
+def test_scales_and_sides_are_of_maps_alone(words, parts, tmp_path, capsys):
+    mesh = tmp_path / "part.step"
+    mesh.write_text("solid x\nendsolid x\n")
+    assert main(["verify", DESIGN, "--files", str(mesh), "--role", "scan", *words]) == 2
+    assert "height maps" in capsys.readouterr().err
+
+
+def test_an_unknown_unit_is_refused_with_those_that_are_known(parts):
+    with pytest.raises(BadRequest, match="one of nm, um"):
+        read_map(parts["front"], "parsec")
+
+
+def test_sides_follow_from_names_unless_stated():
+    one = maps_of(["a-back.x3p", "map.x3p"], {}, Maps(unit="um"))
+    assert (one.front, one.back, one.unit) == ("map.x3p", "a-back.x3p", "um")
+    assert maps_of(["front.x3p"], {"front.x3p": "back"}, Maps()).back == "front.x3p"
+    for paths, sides in (
+        (["front-1.x3p", "front-2.x3p"], {}),
+        (["a", "b", "c"], {}),
+        (["a"], {"z": "front"}),
+    ):
+        with pytest.raises(BadRequest, match="front"):
+            maps_of(paths, sides, Maps())
+
+
+@pytest.mark.slow
+def test_numbers_table_and_deviation_maps_are_written_next_to_the_report(parts, tmp_path, capsys):
+    words = [
+        "verify",
+        DESIGN,
+        "--files",
+        str(parts["front"]),
+        "--role",
+        "scan",
+        "--z-scale",
+        "1 +- 1e-4",
+    ]
+    assert main([*words, "-o", str(tmp_path / "out"), "-q"]) == 0
+    numbers = json.loads((tmp_path / "out" / "measured.json").read_text())
+    rows = list(csv.DictReader((tmp_path / "out" / "lenslets.csv").open()))
+    assert len(rows) == len(numbers["lenslets"]) > 0
+    assert float(rows[0]["radius"]) == pytest.approx(numbers["lenslets"][0]["radius"])
+    deviation = read_map(tmp_path / "out" / "deviation-front.npy")
+    assert np.percentile(np.abs(deviation.points[2]), 90) < 30e-9
+    assert 'id="measured"' in (tmp_path / "out" / "report.html").read_text()
+    assert main([*words, "-o", str(tmp_path / "out"), "-q"]) == 0  # its own files are replaced
+    assert load("window-100mm").sha256 == numbers["design"]["sha256"]

@@ -1,0 +1,113 @@
+"""Slabs of layers: thicknesses by their two conditions, light in white, and refusals with numbers."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from mpmath import mp, mpf
+
+from clacad import Design, DesignError, prescribe
+from clacad.advice import judge
+from clacad.light.compare import paraxial
+from clacad.optics.material.material import Material
+from clacad.prescription.face_list import as_listed, inner_share
+from clacad.prescription.radii import NoSuchLens
+from clacad.sheet.like_cell import in_light
+
+F, C = 486.1e-9, 656.3e-9
+
+
+def slab(layers=("silica", "N-SF6", "silica"), eta=(-1, -1), **pair):
+    return Design.from_dict({
+        "format": 1, "name": "layers", "unit": "mm", "law": {"eta": list(eta)},
+        "pair": {"form": "slab", "layers": list(layers), "separation": 10, "wavelength": 546.1, **pair},
+        "lattice": {"pitch": 0.5, "count": [12, 12]}, "check": {"field": "1 deg"},
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize("eta", [(-1, -1), (-0.25, -1), (0.5, 0.5), (-1, 1)])
+def test_thicknesses_keep_the_pair_afocal_in_three_lines_at_every_eta(eta):
+    """By matrices: C vanishes at the design wavelength, to first order in the outer lines; one glass is far off."""
+    sheet = prescribe(slab(eta=eta))
+    alone = {"form": "slab", "separation": 10, "material": "silica", "wavelength": 546.1}
+    one = prescribe(Design.from_dict({**slab(eta=eta).given, "pair": alone}))
+    for axis in (0, 1):
+        power = {wave: paraxial(in_light(sheet, wave))[axis][1, 0] for wave in (546.1e-9, F, C)}
+        plain = paraxial(in_light(one, F))[axis][1, 0] - paraxial(in_light(one, C))[axis][1, 0]
+        assert abs(power[546.1e-9]) < 1e-14
+        assert abs(power[F] - power[C]) <= 0.03 * abs(plain)
+        assert paraxial(sheet)[axis][1, 1] == pytest.approx(1.0 / eta[axis], rel=1e-12)
+        assert paraxial(sheet)[axis][0, 1] == pytest.approx(10.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("layers", "inner", "most"),
+    [(("silica", "N-SF6", "silica"), 0.77, 0.028), (("N-BK7", "N-SF6", "N-BK7"), 0.83, 0.0242)],
+)
+def test_white_light_through_flat_joints_keeps_to_the_law(layers, inner, most):
+    """Another program found .025 and .022 mrad with 77 % and 83 % of the air-equivalent length in N-SF6."""
+    design = slab(layers)
+    body = prescribe(design).bodies[1]
+    assert (body.back.vertex[2] - body.front.vertex[2]) / body.index / 10 == pytest.approx(inner, abs=0.012)
+    white = next(check for check in judge(design).light if check.id == "law_white")
+    assert 1e3 * white.value <= most
+    assert white.detail["lines"][1]["share"] >= 0.718
+
+
+def test_layers_are_the_list_of_faces_they_are_solved_into():
+    design = slab(conic=[-0.45, -0.45], offset="paraxial")
+    first, second = prescribe(design), prescribe(as_listed(design))
+    assert repr(first.faces) == repr(second.faces)
+    assert first.form == "plates"
+    assert Design.from_dict(design.to_dict()) == design
+    assert as_listed(as_listed(design)) == as_listed(design)
+
+
+@pytest.mark.parametrize(
+    ("layers", "says"),
+    [
+        (("PMMA", "PS", "PMMA"), "needs 1.96 of the length in PS"),
+        (("N-SF6", "silica", "N-SF6"), "needs -"),
+        (("silica", "PMMA", "N-SF6"), "V = 68.* vanishes at eta = 0.376"),
+        (("PMMA", "air", "PS"), "eta = 0.555 alone, and at no eta below 0"),
+        (("PMMA", "air", "PMMA"), "no flat joint"),
+        (("PMMA", "diffractive"), "has 0.8[78] zones over a cell"),
+        (("PMMA", "unobtainium", "PMMA"), "unknown material"),
+    ],
+)
+def test_layers_that_cannot_be_achromatic_are_refused_with_their_numbers(layers, says):
+    with pytest.raises(DesignError, match=says):
+        prescribe(slab(layers))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("material", "PMMA"), ("surface", "biconic"), ("thickness", 3), ("field_lens", True), ("form", "plano")],
+)
+def test_keys_that_layers_answer_are_refused(key, value):
+    with pytest.raises(DesignError, match="layers"):
+        slab(**{key: value})
+
+
+@pytest.mark.parametrize("more", [1e-9, -1e-9, 1e-3, 5.0])
+def test_the_inner_share_of_nearly_equal_dispersions_is_that_of_50_digits(more):
+    """Both materials change their index over n alike but for 1e-9, where the share is largest."""
+    design, lines = slab(), slab().light.lines
+    glasses = [
+        Material(name, "cauchy", (n, b, -2.0), (4e-7, 8e-7), "a test")
+        for name, n, b in (("outer", 1.5, 0.005), ("inner", 1.8, 0.006 * (1.0 + more)))
+    ]
+    mp.dps = 50
+    (n, dn), (m, dm) = (
+        (mpf(float(one.index(546.1e-9))), mpf(float(one.index(min(lines)) - one.index(max(lines)))))
+        for one in glasses
+    )
+    gain = dm / m - dn / n
+    exact = (dn / (n - 1) - dn / n) / gain
+    condition = float(abs(dm / m / gain)) + 1.0
+    if 0.0 < exact < 1.0:
+        assert abs(inner_share(design, *glasses) / float(exact) - 1.0) < 1e-15 * condition
+        return
+    with pytest.raises(NoSuchLens, match=re.escape(f"needs {float(exact):.3g} of the length")):
+        inner_share(design, *glasses)

@@ -1,0 +1,132 @@
+"""Scans of plates that move: an independent tracer's slopes and spreads, paraxial matrices, energy of the diffraction orders."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clacad import prescribe, steer
+from clacad.base.types import silent
+from clacad.cli.entry_point import main
+from clacad.design import Design, load, template
+from clacad.prescription.face_matrices import matrices
+from clacad.report.scan_files import csv_text, page
+from clacad.sheet.moved_plates import CannotMove, moved_plates, paraxial_exit
+from clacad.waves import exit_pupil
+
+GOLDEN = json.loads((Path(__file__).parents[1] / "data" / "scanner.json").read_text())
+MOVES = {"scanner-f5": None, "scanner-f2": {2: 0.5, 3: 1.0}}
+
+
+def starter(kind: str) -> Design:
+    return Design.from_dict(tomllib.loads(template(kind, kind))).with_cells((12, 12))
+
+
+@pytest.mark.parametrize("kind", MOVES)
+@pytest.mark.parametrize(
+    ("axis", "rows"), [("x", "axis"), pytest.param("xy", "diagonal", marks=pytest.mark.slow)]
+)
+def test_slope_spread_and_share_are_those_of_an_independent_tracer(kind, axis, rows):
+    golden = GOLDEN[kind][rows]
+    found = steer(starter(kind), golden[-1]["travel"], axis, MOVES[kind], waves=False, progress=silent)
+    for one, want in zip(found.positions[len(golden) - 1 :], golden, strict=True):
+        assert one.travel == pytest.approx(want["travel"], abs=1e-15)
+        assert one.slopes[0] == pytest.approx(want["slope"], abs=1e-4)
+        assert 1e3 * one.spread == pytest.approx(want["spread_mrad"], rel=0.01)
+        assert one.share == pytest.approx(want["share"], abs=0.004)
+
+
+@pytest.mark.parametrize(("kind", "limit"), [("scanner-f5", 0.54e-3), ("scanner-f2", 1.9e-3)])
+def test_scanners_reach_their_figures_over_the_whole_travel(kind, limit):
+    reach = GOLDEN[kind]["axis"][-1]["travel"]
+    found = steer(starter(kind), reach, "y", MOVES[kind], positions=5, waves=False, progress=silent)
+    assert found.worst_spread <= limit
+    assert found.least_share >= 0.96
+    assert all(abs(one.exit_beam_over_pitch - 1.0) <= 0.05 for one in found.positions)
+    assert found.cross_talk < 1e-5
+    assert found.nonlinearity < 1e-6  # the even part, of a bundle that is not quite symmetric
+    travel = np.array([one.travel for one in found.positions])
+    fit = sum(c * travel ** (2 * k + 1) for k, c in enumerate(found.odd_terms))
+    assert np.abs(fit - [one.slopes[1] for one in found.positions]).max() < 1e-5
+
+
+def test_the_paraxial_slope_is_that_of_matrices_and_the_limit_of_traced_light():
+    design = starter("scanner-f5")
+    window, move = prescribe(design), np.array([1e-4, -2e-4, 0.0])
+    moved = moved_plates(window, {2: move})
+    second = matrices(design.pair, 2)[0]
+    found = paraxial_exit(moved, np.zeros(2), np.zeros(2))[1]
+    assert found == pytest.approx(-second[1, 0] * move[:2], rel=1e-12)
+    assert paraxial_exit(window, np.zeros(2), np.array([0.01, -0.02]))[1] == pytest.approx(
+        matrices(design.pair)[0][1, 1] * np.array([0.01, -0.02]), rel=1e-12
+    )
+    assert [face.vertex[2] for face in moved_plates(window, {2: np.array([0, 0, 0.01])}).faces] == (
+        pytest.approx([face.vertex[2] + 0.01 * (k > 1) for k, face in enumerate(window.faces)])
+    )
+
+
+def test_efficiencies_of_all_orders_add_up_to_the_light_of_the_cells_own_partner():
+    window = prescribe(starter("scanner-f5"))
+    normal, wave = np.array([0.0, 0.0, 1.0]), 532e-9
+    pupil = exit_pupil.pupil(window, normal, wave, 64)
+    step = wave / window.unit / 0.1
+    orders = [np.array([i, j]) * step for i in range(-8, 9) for j in range(-8, 9)]
+    found = [exit_pupil.order_efficiency(pupil, window, normal, 532e-6, one) for one in orders]
+    assert sum(found) == pytest.approx(pupil.alive.mean(), rel=0.01)
+    here = found[len(orders) // 2]
+    assert here == max(found) > 0.9
+    peak = exit_pupil.order_efficiency(pupil, window, normal, 532e-6)
+    assert peak == pytest.approx(here, rel=1e-3)  # at rest the light is on an order
+
+
+@pytest.mark.parametrize(
+    ("kind", "words", "says"),
+    [
+        ("scanner-f5", {"move": {3: 1.0}}, "plates 1 to 2"),
+        ("scanner-f5", {"axis": "w"}, "it is one of x, y, xy, z"),
+        ("three-plates-10deg", {}, "plates 2 and 3 carry lenses of one array"),
+        ("slab", {}, "nothing moves"),
+    ],
+)
+def test_what_cannot_move_is_refused_with_the_reason(kind, words, says):
+    with pytest.raises(CannotMove, match=says):
+        steer(starter(kind), 0.01, positions=2, progress=silent, **words)
+
+
+def test_travel_along_the_normal_focuses():
+    found = steer(starter("scanner-f5"), 0.005, "z", positions=3, waves=False, progress=silent)
+    power = [one.power for one in found.positions]
+    assert power[0] < power[1] < 0.0 < power[2]
+    # a lens of focal length 1/C, C of each array, moved by dz changes the power by C1 C2 dz
+    first, second = (matrices(starter("scanner-f5").pair, array)[0][1, 0] for array in (1, 2))
+    assert power[2] - power[0] == pytest.approx(1e3 * first * second * 0.01, rel=0.05)
+
+
+def test_files_and_json_hold_the_numbers_of_the_scan(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("own.toml").write_text(template("own", "scanner-f5"))
+    words = ["steer", "own.toml", "--travel", "±10 um", "--positions", "3", "--rays", "256", "--no-waves"]
+    assert main([*words, "-o", "scan.csv", "--json", "-q"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["move"] == {"plate2": 1.0}
+    assert [one["travel"] for one in told["positions"]] == pytest.approx([-0.01, 0.0, 0.01])
+    first = told["positions"][0]
+    assert {"travel", "slope", "spread", "share", "exit_beam_over_pitch", "orders"} <= first.keys()
+    assert {"order", "share", "slope"} == first["orders"][0].keys()
+    head, *lines = (tmp_path / "scan.csv").read_text().splitlines()
+    row = dict(zip(head.split(","), lines[0].split(","), strict=True))
+    assert float(row["slope"]) == first["slope"]
+    assert row["efficiency"] == ""
+    found = steer(load("own.toml"), 0.01, positions=3, rays=256, waves=False, progress=silent)
+    assert csv_text(found) == (tmp_path / "scan.csv").read_text()
+    text = page(load("own.toml"), found)
+    assert not re.search(r"(src|href)=.(?!data:|#)", text)
+    assert text == page(load("own.toml"), found)
+    assert main([*words, "--move", "plate=2"]) == 2
+    assert main([*words[:3], "nothing"]) == 2
+    assert main([*words, "-o", "scan.pdf"]) == 2
