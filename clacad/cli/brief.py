@@ -48,7 +48,7 @@ class Brief:
         following = [
             line
             for number, command in enumerate(self.next)
-            for line in _folded(f"{'      ' if number else 'next: '}{command}", width, LINES, whole=True)
+            for line in _command(f"{'      ' if number else 'next: '}{command}", width)
         ]
         room = LINES - len(head) - len(foot) - len(following)
         lists = [one for one in self.lists if one]
@@ -107,6 +107,14 @@ def _fitted(lists: Sequence[Sequence[Entry]], width: int, room: int) -> Iterator
             names = ", ".join(dict.fromkeys(name for name, _ in one[count:]))
             yield _folded(f"  {len(one) - count} more (--all): {names}", width, 1)[0]
             room -= 1
+
+
+def _command(line: str, width: int) -> list[str]:
+    """A command broken between words, each line but the last ended by a backslash: it runs where it is pasted."""
+    *broken, last = _folded(line, width, LINES, whole=True)
+    if broken:
+        *broken, last = _folded(line, width - 2, LINES, whole=True)
+    return [*(f"{part} \\" for part in broken), last]
 
 
 def _entry(text: str, width: int, most: int) -> list[str]:

@@ -202,5 +202,6 @@ def test_the_command_names_the_file_and_how_to_write_it(capsys, monkeypatch):
     status, out, _ = answered(capsys, "accuracy", SLAB, "--target", "2 mrad")
     assert status == 0
     assert "cheapest file within 2 mrad: 3mf (27 quads a cell side, " in out
-    assert f"clacad export {SLAB} -o DIR --format 3mf --quads 27" in out
+    pasted = " ".join(out.replace(" \\\n", " ").split())
+    assert f"clacad export {SLAB} -o DIR --format 3mf --quads 27" in pasted
     assert "also within it: step (exact faces)" in out
