@@ -37,6 +37,7 @@ ROOMS = [
     "checks",  # kinds of checks: code, unit, limit, explanation, levers
     "judging",  # files against a design: found, placed, whole, in shape, lit
     "measuring",  # made parts as an instrument measures them: maps read, fitted, lit, judged
+    "making",  # the sheet as its process makes it, and light through it
     "verification",
     "stacking",  # sheets behind one another
     "advice",  # forecast of verify's verdict, and the keys that would change it

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from clacad.config.mistakes import CODES, DesignError, Mistake
 from clacad.design.body import BodySpec, Frame, Outline
-from clacad.design.limit_sections import Allowed, CheckSpec, TolerancesSpec
+from clacad.design.limit_sections import Allowed, CheckSpec, ProcessSpec, TolerancesSpec
 from clacad.design.model import Design, load
 from clacad.design.sections import AimedAt, FieldSpec, LatticeSpec, LawSpec, LightSpec, PairSpec, json_schema
 from clacad.design.starter_designs import template, templates
@@ -29,6 +29,7 @@ __all__ = [
     "Mistake",
     "Outline",
     "PairSpec",
+    "ProcessSpec",
     "TolerancesSpec",
     "json_schema",
     "load",

@@ -1,4 +1,4 @@
-"""Sections [check] and [tolerances] of a design file: each field is a key of the file.
+"""Sections [check], [tolerances] and [process] of a design file: each field is a key of the file.
 
 Angles in radians, lengths in design units.
 """
@@ -29,6 +29,8 @@ _LIMIT_LENGTH: Final = Quantity("length", "a length >= 0", least=0.0, bare=False
 _NAMED: Final = Quantity("length", "a length > 0", above=0.0, named=True)
 _PART: Final = Quantity("ratio", "a number > 0, at most 1", above=0.0, most=1.0)
 _FACTOR: Final = Quantity("ratio", "a number > 0, at most 1000", above=0.0, most=1000.0)
+_SHRINKS: Final = Quantity("ratio", "a number from -0.5 to 0.5, or percent", least=-0.5, most=0.5)
+_GAMMA: Final = Quantity("ratio", "a number from 0.25 to 4", least=0.25, most=4.0)
 _ARRAYS: Final = ("array 1", "array 2")
 
 
@@ -186,3 +188,31 @@ class TolerancesSpec:
     def of_body(self, number: int, bodies: int) -> float:
         """Tolerance (length) of the thickness of body 1, 2 …; of a plate between two, the larger one."""
         return max(self.thickness) if 1 < number < bodies else self.thickness[min(number, 2) - 1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProcessSpec:
+    """Section [process]: what the process of `check.process` leaves; lengths in design units.
+
+    None means that the profile of the process gives the value (`clacad explain diamond-turning`).
+    """
+
+    nose: float | None = key(_LIMIT_LENGTH, "radius of the tool nose")
+    feed: float | None = key(_LIMIT_LENGTH, "distance of neighbouring passes of the tool")
+    spot: float | None = key(_LIMIT_LENGTH, "standard deviation of a Gaussian writing spot")
+    gamma: float | None = key(_GAMMA, "a height u of 0 to 1 becomes u^gamma; the top stays")
+    curve: str | None = key(
+        Text("the name of a CSV file", 500), "table of level and depth by which heights come out"
+    )
+    levels: int | None = key(
+        Whole("a whole number from 0 to 65536", least=0, most=65536), "number of height levels; 0: continuous"
+    )
+    layer: float | None = key(_LIMIT_LENGTH, "thickness of a layer, or height of a level")
+    shrinkage: tuple[float, float, float] | None = key(
+        Several(_SHRINKS, ("x", "y", "z"), single=True),
+        "the made length is the requested one times 1 - shrinkage",
+    )
+    thickness: float | None = key(
+        _SHRINKS, "shrinkage of the thickness between two faces, where a base keeps it (else that along z)"
+    )
+    sink: float | None = key(_LIMIT_LENGTH, "depth by which the middle of a moulded lenslet sinks")

@@ -16,11 +16,11 @@ from clacad.config.edit_text import changed_keys, to_toml
 from clacad.config.keys import written
 from clacad.config.value_kinds import FORMAT
 from clacad.design.body import BodySpec
-from clacad.design.limit_sections import CheckSpec, TolerancesSpec
+from clacad.design.limit_sections import CheckSpec, ProcessSpec, TolerancesSpec
 from clacad.design.read import read_changed, read_dict, read_file, read_shipped
 from clacad.design.sections import LatticeSpec, LawSpec, LightSpec, PairSpec
 
-_LATER = ("tolerances", "light")
+_LATER = ("tolerances", "light", "process")
 """Sections younger than the first canonical texts, absent from them where all values are defaults."""
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ class Design:
         Unit of bare lengths, as written.
     unit_m : float, metres
         Length of one design unit.
-    law_spec, pair, lattice, body, check, tolerances, light : dataclasses
+    law_spec, pair, lattice, body, check, tolerances, light, process : dataclasses
         The sections of the file; `law` is the law itself.
     notes : tuple of str
         Remarks the report prints.
@@ -65,6 +65,7 @@ class Design:
     check: CheckSpec
     tolerances: TolerancesSpec = TolerancesSpec()
     light: LightSpec = LightSpec()
+    process: ProcessSpec = ProcessSpec()
     notes: tuple[str, ...] = ()
     given: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)
     source: str | None = field(default=None, repr=False, compare=False)
@@ -175,6 +176,7 @@ class Design:
             "check": self.check,
             "tolerances": self.tolerances,
             "light": self.light,
+            "process": self.process,
         }
         tables = {
             name: written(spec, self._unit)

@@ -7,7 +7,7 @@ are limits for checking a design, not promises of any machine.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import radians
 from typing import TYPE_CHECKING, Any
@@ -37,6 +37,10 @@ class ProcessProfile:
         Greatest height of a whole part, and greatest side of its bounding rectangle, seen along z.
     materials : Kinds and names of materials that can be worked; empty: any.
     source : Source of the numbers.
+    made : What the process leaves, see `clacad.making.process`: nose, feed, spot, gamma, levels, layer,
+        shrinkage in the sheet (`lateral`) and in height, sink; metres and ratios. substrate: 1 where the
+        lenslets alone shrink, on a base that keeps its thickness.
+    made_source : Source of those.
     """
 
     name: str
@@ -58,6 +62,8 @@ class ProcessProfile:
     part_width: float
     materials: tuple[str, ...]
     source: str
+    made: Mapping[str, float]
+    made_source: str
 
     def works(self, material: Material) -> bool:
         """Whether a material can be worked."""
@@ -84,6 +90,38 @@ part_height  inf   0.1              8e-3        12e-3      25e-3     0.185
 part_width   inf   0.2              0.1         0.2        0.3       0.145
 """
 """Fields of `ProcessProfile` by process; draft and slope in degrees."""
+
+_MADE = """
+part       none  diamond-turning  two-photon  greyscale  moulding  sla
+nose       0     25e-6            0           0          20e-6     0
+feed       0     2e-6             0           0          2e-6      0
+spot       0     0                0.1e-6      0.4e-6     0         0
+gamma      1     1                1           1          1         1
+levels     0     0                0           256        0         0
+layer      0     0                0.1e-6      0          0         25e-6
+lateral    0     0                0           0          0.4e-2    1e-2
+height     0     0                2e-2        0          0.4e-2    1e-2
+sink       0     0                0           0          0         0
+substrate  0     0                1           1          0         0
+"""
+"""Parameters of section [process] that a design leaves out, by process: metres and plain ratios."""
+
+_MADE_SOURCES = (
+    "an ideal process leaves nothing",
+    "nose radius as in the limits; a feed of 2 micrometres a turn leaves scallops of 20 nanometres peak to"
+    " valley, 6 rms, as fly-cut and turned optics have (Rhorer and Evans, Fabrication of optics by diamond"
+    " turning, Handbook of Optics)",
+    "voxels of 0.2 to 0.5 micrometres are spots of 0.1 micrometres sigma, slices 0.1 micrometres apart;"
+    " resists shrink by some percent, seen in height where the base is fixed (Ovsianikov et al., Optics"
+    " Express 17, 2143 (2009))",
+    "8-bit dose, 256 levels (EPFL Center of MicroNanoTechnology, Grayscale lithography); a laser spot of"
+    " 1 micrometre is 0.4 sigma; depth over dose is not linear and is calibrated (Micromachines 8, 314"
+    " (2017))",
+    "the insert is diamond turned; PMMA shrinks by 0.2 to 0.6 percent in the mould (International Journal of"
+    " Polymer Science 2013, 610132, table 2)",
+    "layers of 25 micrometres, as in the limits; acrylate resins shrink by about 1 percent of each length"
+    " after printing (Formlabs, Form 3: parts are scaled by the printer, which leaves a part of it)",
+)
 
 _WORKS: dict[str, tuple[str, ...]] = {
     "none": (),
@@ -116,14 +154,26 @@ _SOURCES = (
 
 
 def _profiles() -> Iterator[ProcessProfile]:
-    (_, *names), *rows = (line.split() for line in _LIMITS.split("\n")[1:-1])
-    for name, source, *texts in zip(names, _SOURCES, *(texts for _, *texts in rows), strict=True):
-        limits: dict[str, Any] = {row[0]: float(text) for row, text in zip(rows, texts, strict=True)}
+    made = _columns(_MADE)
+    sources = zip(_SOURCES, _MADE_SOURCES, strict=True)
+    for (name, numbers), (source, made_source) in zip(_columns(_LIMITS).items(), sources, strict=True):
+        limits: dict[str, Any] = dict(numbers)
         angles = {key: radians(limits[key]) for key in ("draft", "slope")}
         undercut = bool(limits["undercut"])
         yield ProcessProfile(
-            **{**limits, **angles, "undercut": undercut}, name=name, materials=_WORKS[name], source=source
+            **{**limits, **angles, "undercut": undercut},
+            name=name,
+            materials=_WORKS[name],
+            source=source,
+            made=made[name],
+            made_source=made_source,
         )
+
+
+def _columns(text: str) -> dict[str, dict[str, float]]:
+    """Numbers of a table by the names of its columns, then of its rows."""
+    (_, *names), *rows = (line.split() for line in text.split("\n")[1:-1])
+    return {name: {row[0]: float(row[k + 1]) for row in rows} for k, name in enumerate(names)}
 
 
 _PROFILES = tuple(_profiles())

@@ -21,7 +21,7 @@ from clacad.config.quantities import LENGTH, LENGTH_ABOVE_0, LENGTH_FROM_0, Quan
 from clacad.config.value_kinds import LARGEST_COUNT, Flag, Text, Whole, Word
 from clacad.design.body import OUTLINE, BodySpec, Outline
 from clacad.design.faces import CONIC, FaceSpec, SearchRecord
-from clacad.design.limit_sections import CheckSpec, TolerancesSpec
+from clacad.design.limit_sections import CheckSpec, ProcessSpec, TolerancesSpec
 from clacad.design.varying import VARYING, Planes, VaryingSpec
 
 if TYPE_CHECKING:
@@ -347,17 +347,20 @@ SPECS: Final[dict[str, type]] = {
     "check": CheckSpec,
     "tolerances": TolerancesSpec,
     "light": LightSpec,
+    "process": ProcessSpec,
 }
 """Section → the dataclass whose fields are its keys."""
 
 SECTIONS: Final[dict[str, dict[str, Key]]] = {name: keys_of(spec) for name, spec in SPECS.items()}
 
-LAW, PAIR, LATTICE, BODY, CHECK, TOLERANCES, LIGHT = (KeyPaths(name, keys) for name, keys in SECTIONS.items())
+LAW, PAIR, LATTICE, BODY, CHECK, TOLERANCES, LIGHT, PROCESS = (
+    KeyPaths(name, keys) for name, keys in SECTIONS.items()
+)
 
 DESIGN: Final = FileForm(
     ROOT,
     SECTIONS,
-    optional=("body", "check", "tolerances", "light"),
+    optional=("body", "check", "tolerances", "light", "process"),
     synonyms={
         **dict.fromkeys(("phi", "theta", "psi", "tilt", "angles"), LAW.euler),
         **dict.fromkeys(("eta_x", "eta_y"), LAW.eta),

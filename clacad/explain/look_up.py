@@ -118,12 +118,24 @@ def _process(one: ProcessProfile) -> Entry:
         one.name,
         f"process {one.name}",
         f"{limits[0].upper()}{limits[1:]}.",
-        f"Limits from: {one.source}.",
+        f"Limits from: {one.source}.\n  Defaults of [process]: {_defaults(one)}. From: {one.made_source}.",
         "",
         f'check.process = "{one.name}" in the design file; a limit may be allowed to be passed with a reason'
         " (check.allow).",
         "process",
     )
+
+
+def _defaults(one: ProcessProfile) -> str:
+    """What a process leaves by default, as the keys of section [process]."""
+    made = one.made
+    words = [f"{name} {_length(made[name])}" for name in ("nose", "feed", "spot", "layer") if made[name]]
+    words += [f"levels {made['levels']:g}"] if made["levels"] else []
+    lateral, height = made["lateral"], made["height"]
+    if lateral or height:
+        base = " on a base that keeps its thickness" if made["substrate"] else ""
+        words.append(f"shrinkage {100 * lateral:g} % in x and y, {100 * height:g} % in z{base}")
+    return ", ".join(words) or "nothing is left"
 
 
 def _worked(one: ProcessProfile) -> list[str]:
