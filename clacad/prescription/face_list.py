@@ -266,16 +266,15 @@ def layered_faces(design: Design) -> tuple[FaceSpec, ...]:
 
 
 def inner_share(design: Design, outer: Material, inner: Material) -> float:
-    """Share of the air-equivalent length s in the inner layer: (1/V − Δn₁/n₁)/(Δn₂/n₂ − Δn₁/n₁).
+    """Share of the air-equivalent length s in the inner layer.
 
     Raises NoSuchLens: It is not between 0 and 1.
     """
     lines, wavelength = design.light.lines, design.pair.wavelength
-    n, m = (float(one.index(wavelength)) for one in (outer, inner))
-    dn, dm = (float(one.index(min(lines)) - one.index(max(lines))) for one in (outer, inner))
-    gain = dm / m - dn / n
-    share = (dn / (n - 1.0) - dn / n) / gain if gain else float("inf")
+    ends = min(lines), max(lines)
+    share = achromatic_share(outer, inner, wavelength, ends)
     if not 0.0 < share < 1.0:
+        (n, dn), (m, dm) = (_colour(one, wavelength, ends) for one in (outer, inner))
         raise NoSuchLens(
             f"a flat joint of {outer.name} and {inner.name} needs {share:.3g} of the length in {inner.name}"
             f" to undo the colour of the lenses: {inner.name} must change its index over n by more than"
@@ -285,3 +284,19 @@ def inner_share(design: Design, outer: Material, inner: Material) -> float:
             code="CL114",
         )
     return share
+
+
+def achromatic_share(outer: Material, inner: Material, wavelength: float, lines: Pair2) -> float:
+    """Share (1/V − Δn₁/n₁)/(Δn₂/n₂ − Δn₁/n₁) of the inner material, of any size; infinite where there is none.
+
+    wavelength, lines : metres. Design wavelength, and the outermost lines.
+    """
+    (n, dn), (m, dm) = (_colour(one, wavelength, lines) for one in (outer, inner))
+    gain = dm / m - dn / n
+    return dn / (n * (n - 1.0)) / gain if gain else float("inf")
+
+
+def _colour(material: Material, wavelength: float, lines: Pair2) -> tuple[float, float]:
+    """Index at the design wavelength, and its fall between two lines (metres)."""
+    first, last = (float(material.index(wave)) for wave in lines)
+    return float(material.index(wavelength)), first - last

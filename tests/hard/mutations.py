@@ -88,6 +88,7 @@ ALIKE, ITS_KERNEL = (
 JOINTS, BOUND = f"{DIFFERING} -k 'numpy and (joints or film) and not 10'", "tests/mesh/test_plates_mesh.py"
 FIXTURES, SCENES = "tests/exporting/test_fixtures_of_plates.py", "tests/rendering/test_pov_plates.py -m ''"
 FIXED = f"{FIXTURES} -k stop"
+WHITE = "tests/light/test_white_light.py"
 
 MUTATIONS = [
     # -- non-uniform sheets
@@ -159,6 +160,12 @@ MUTATIONS = [
     Mutation("mesh: the end at a wall is a face met", MESH, "(hits[f] != end).any(axis=1)", "True", f"{TRIANGLES} -m '' -k 'kernels_count'"),
     Mutation("mesh: a body is risen past at its foot", MESH, "body.level + body.high", "body.level + body.low", f"{TRIANGLES} -m '' -k 'kernels_count'"),
     Mutation("mesh: a ghost within array 1 forgotten", MESH, "order_of(walkers)", "walkers.last - walkers.first", f"{TRIANGLES} -m '' -k 'kernels_count'"),
+    # -- colour
+    Mutation("index: extrapolated beyond its range", "clacad/optics/material/material.py", "    if outside.any():\n", "    if False:\n", "tests/optics/test_material.py"),
+    Mutation("layers: V of the lenses' material forgotten", "clacad/prescription/face_list.py", "return dn / (n * (n - 1.0)) / gain", "return (dm / (m - 1.0) - dn / n) / gain", STORED),
+    Mutation("layers: changes of the index, not over n", "clacad/prescription/face_list.py", "gain = dm / m - dn / n", "gain = dm - dn", STORED),
+    Mutation("colour: powers of the design's line", "clacad/light/compare.py", "part = 1.0 - face.index_before / face.index_after", "part = 1.0 - round(face.index_before, 2) / round(face.index_after, 2)", WHITE),
+    Mutation("floor: right in the first line", "clacad/light/compare.py", "middle = order[int(np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum()))]", "middle = order[0]", f"{WHITE} -k window_of_100_mm"),
     # -- sag and normal
     Mutation("sag: R - sqrt(R² - r²)", SHAPE, "surface.side * lateral_square(surface, x, y) / (1.0 + slope_root(surface, x, y))",
              "surface.side * (1.0 - slope_root(surface, x, y)) * lateral_square(surface, x, y) / (1.0 - slope_root(surface, x, y) ** 2)"),

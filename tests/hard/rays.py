@@ -258,6 +258,8 @@ HARD = [
     Hard("joint above critical", "the same difference, negative", [oq(0, 0, 0, before=1.8, after=1.2)], (0, 0, -1), critical(-1)),
     Hard("curved joint, ratio 1 + 1e-12", "three faces, of which the middle one hardly bends", joint(1 + 1e-12), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
     Hard("curved joint, ratio 1 - 1e-12", "the same from the dense side", joint(1 - 1e-12), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
+    Hard("curved joint, 1e-9 of index across it", "a layer in which light hardly changes its direction: all of its colour", joint(1 + 1e-9 / 1.5), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
+    Hard("flat joint, 1e-9 of index across it", "the sine changes by 1e-10", [oq(0, 0, 0, before=1.8, after=1.8 + 1e-9)], (0.3, 0.1, -5), (0.1, 0.2, 1)),
     Hard("curved joint, ratio 1.25", "a joint that bends as a face of a lens does", joint(1.25), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
     Hard("film of 1e-6 pitches between joints", "the way through it is 1e-9 of that to it", joint(1.1, film=5e-10), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),
     Hard("film of 1e-12 pitches between joints", "thinner than the rounding of its place", joint(1.1, film=5e-16), (1e-3, 5e-4, -0.01), (0.1, 0.2, 1)),

@@ -17,6 +17,7 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
 
 from hard.cells import CELLS  # noqa: E402
+from hard.glasses import INDICES, LAYERS  # noqa: E402
 from hard.laws import LAWS  # noqa: E402
 from hard.measure import fate_of, off, relative, turn_of  # noqa: E402
 from hard.rays import HARD  # noqa: E402
@@ -175,7 +176,27 @@ def view_case(case):
     return "view", case, given, answer, {"stretch": grows}, {"stretch": textbook}
 
 
-GROUPS = ((HARD, ray_case), (LAWS, law_case), (SAGS, sag_case), (CELLS, cell_case), (ANGLES, angle_case), (VIEWS, view_case))  # fmt: skip
+def index_case(case):
+    """An index at a wavelength."""
+    exact = case.exact()
+    given = {"formula": case.formula, "coefficients": list(case.coefficients), "wavelength": case.metres}
+    by_book = float(forms.index(case.formula, case.coefficients, case.metres))
+    textbook = {"index": relative(by_book, exact)}
+    return "index", case, given, {"index": digits(exact)}, {"index": case.condition()}, textbook
+
+
+def layer_case(case):
+    """Share of the inner of two glasses."""
+    exact = case.exact()
+    given = {
+        "outer": list(case.outer), "inner": list(case.inner), "lines": list(case.lines), "wavelength": case.middle,
+    }  # fmt: skip
+    by_book = float(forms.inner_share(case.outer, case.inner, case.lines, case.middle))
+    textbook = {"share": "wrong" if not math.isfinite(by_book) else relative(by_book, exact)}
+    return "layer", case, given, {"share": digits(exact)}, {"share": case.condition()}, textbook
+
+
+GROUPS = ((HARD, ray_case), (LAWS, law_case), (SAGS, sag_case), (CELLS, cell_case), (ANGLES, angle_case), (VIEWS, view_case), (INDICES, index_case), (LAYERS, layer_case))  # fmt: skip
 
 
 def worked_out():

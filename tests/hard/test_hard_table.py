@@ -58,7 +58,7 @@ def test_the_textbook_fails_where_a_sentence_says_so():
 
 def test_the_stored_cases_are_the_lists_in_the_tests():
     names = [(case["kind"], case["name"]) for case in hard_cases()]
-    kinds = ("ray", "law", "sag", "cell", "angle", "view")
+    kinds = ("ray", "law", "sag", "cell", "angle", "view", "index", "layer")
     assert names == [(kind, one.name) for kind, (group, _) in zip(kinds, table.GROUPS) for one in group]
 
 

@@ -54,6 +54,30 @@ def stretch(eta, z, camera):
         return np.float64(camera + z) / np.float64(camera + z / eta)
 
 
+def index(formula, coefficients, metres):
+    """N from λ in micrometres, the terms summed in the order in which they are listed."""
+    um, c = 1e6 * np.float64(metres), coefficients
+    if formula == "sellmeier":
+        return np.sqrt(1.0 + sum(b / (1.0 - p / um**2) for b, p in zip(c[::2], c[1::2])))
+    if formula == "gas":
+        return 1.0 + c[0] + sum(b / (pole - um**-2) for b, pole in zip(c[1::2], c[2::2]))
+    n = c[0] + sum(b * um**p for b, p in zip(c[1::2], c[2::2]))
+    return np.sqrt(n) if formula == "schott" else n
+
+
+def inner_share(outer, inner, lines, middle):
+    """(1/V1 − Δ1/n1)/(Δ2/n2 − Δ1/n1) with V = (n − 1)/Δ."""
+    (n1, d1), (n2, d2) = (
+        (n[0], n[1] - n[2])
+        for n in (
+            [index("cauchy", (*glass, -2.0), wave) for wave in (middle, *lines)] for glass in (outer, inner)
+        )
+    )
+    with np.errstate(all="ignore"):
+        v = (n1 - 1.0) / d1
+        return (1.0 / v - d1 / n1) / (d2 / n2 - d1 / n1)
+
+
 def rotation(phi, theta, psi, axes="fixed"):
     """Rz(psi) Rx(theta) Rz(phi)."""
     if axes == "moving":

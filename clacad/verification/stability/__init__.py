@@ -20,6 +20,7 @@ import numpy as np
 
 from clacad.base.text import plain
 from clacad.optics.law import Law, angle_between, stretch
+from clacad.optics.material.material import Formula, Material
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface
@@ -40,6 +41,8 @@ ALLOWED = {
     "place": 4.0,
     "angle": 4.0,
     "stretch": 4.0,
+    "index": 4.0,
+    "share": 4.0,
 }
 """Allowed ulp per unit of condition, with at least one unit."""
 
@@ -184,6 +187,20 @@ def _view(given: Case, answer: Case) -> dict[str, float]:
     return {"stretch": max(_relative(float(g), a) for g, a in zip(got, answer["stretch"], strict=True))}
 
 
+def _index(given: Case, answer: Case) -> dict[str, float]:
+    wave = float(given["wavelength"])
+    got = _material(given["formula"], given["coefficients"], (wave, 2.0 * wave)).index(wave)
+    return {"index": _relative(got, answer["index"])}
+
+
+def _layer(given: Case, answer: Case) -> dict[str, float]:
+    from clacad.prescription.face_list import achromatic_share
+
+    glasses = [_material("cauchy", (*given[one], -2.0), (1e-7, 1e-5)) for one in ("outer", "inner")]
+    got = achromatic_share(*glasses, given["wavelength"], tuple(given["lines"]))
+    return {"share": _relative(got, answer["share"])}
+
+
 MEASURES: Mapping[str, Callable[[Case, Case], dict[str, float]]] = {
     "ray": _ray,
     "law": _law,
@@ -191,6 +208,8 @@ MEASURES: Mapping[str, Callable[[Case, Case], dict[str, float]]] = {
     "cell": _cell,
     "angle": _angle,
     "view": _view,
+    "index": _index,
+    "layer": _layer,
 }
 
 
@@ -205,6 +224,10 @@ def _surface(shape: Case) -> Surface:
         a4, a6, a8 = (tuple(shape["terms"][k:m]) for k, m in ((0, 3), (3, 7), (7, 12)))
         return EvenPolynomial(cx, cy, conic_x, conic_y, a4, int(side), a6, a8)
     return Biconic(cx, cy, conic_x, conic_y, int(side))
+
+
+def _material(formula: Formula, coefficients: Sequence[float], known: tuple[float, float]) -> Material:
+    return Material("glass", formula, tuple(coefficients), known, "a hard case")
 
 
 def _interface(face: Case) -> Interface:
