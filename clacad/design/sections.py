@@ -292,8 +292,12 @@ class LatticeSpec:
 SPECTRA: Final[dict[str, dict[float, float]]] = {
     "visible": dict.fromkeys((486.1e-9, 546.1e-9, 587.6e-9, 656.3e-9), 1.0),
     "photopic": {470e-9: 0.091, 510e-9: 0.503, 555e-9: 1.0, 610e-9: 0.503, 650e-9: 0.107},
+    "rgb": dict.fromkeys((611.4e-9, 549.1e-9, 464.2e-9), 1.0),
+    "D65": dict.fromkeys((1e-9 * (440.0 + 26.25 * k) for k in range(9)), 1.0),
 }
-"""Lines of white light: wavelength in metres → weight. Visible: F, e, d and C. Photopic: V(λ) of CIE 1924."""
+"""Lines of white light: wavelength in metres → weight. Designs and pictures have visible: F, e, d and C, and
+photopic: V(λ) of CIE 1924. Pictures alone have rgb: dominant wavelengths of the sRGB primaries (ITU-R BT.709)
+under D65, and D65: nine samples of daylight, nearly all of the eye's response."""
 
 KELVIN: Final = 20.0
 """Change of temperature at which the law is measured where the design states none."""

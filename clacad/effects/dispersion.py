@@ -1,8 +1,8 @@
 """Dispersion: each line of the light has its own refractive index.
 
-*Model.* One pass per wavelength of the scene's spectrum (`Setting.wavelengths`), n(λ) of each body's
-material; no index outside the material's data. In a trace, one row per ray, rays without a wavelength take
-the lines in turn.
+*Model.* One pass per wavelength of the scene's or the design's spectrum (`Setting.wavelengths`, lines of
+`clacad.design.sections.SPECTRA`), n(λ) of each body's material; no index outside the material's data. In a
+trace, one row per ray, rays without a wavelength take the lines in turn.
 *Law.* A constant index changes nothing, and light of the design wavelength is unchanged.
 *On when* there is more than one line and the growth of the largest direction error exceeds the angle that
 matters: per lens axis ε |1 − m|/|m| (x − u)/s, x and u where the light crosses lens 1 and 2, ε = max |n(λ) −
@@ -26,9 +26,6 @@ from clacad.sheet.vignetting import aperture_slope, focal_ratio, thin_cells
 from clacad.sheet.window import Window
 
 NAME = "dispersion"
-
-LINES = {"rgb": (611.4e-9, 549.1e-9, 464.2e-9), "D65": tuple(1e-9 * (440.0 + 26.25 * k) for k in range(9))}
-"""Lines of named spectra, metres: dominant wavelengths of the sRGB primaries; nine samples of daylight."""
 
 
 def effect(window: Window, setting: Setting) -> Effect:

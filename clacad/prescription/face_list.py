@@ -287,7 +287,7 @@ def inner_share(design: Design, outer: Material, inner: Material) -> float:
 
 
 def achromatic_share(outer: Material, inner: Material, wavelength: float, lines: Pair2) -> float:
-    """Share (1/V − Δn₁/n₁)/(Δn₂/n₂ − Δn₁/n₁) of the inner material, of any size; infinite where there is none.
+    """Share (1/V − Δn₁/n₁)/(Δn₂/n₂ − Δn₁/n₁) of the inner material, of any size; infinite if there is none.
 
     wavelength, lines : metres. Design wavelength, and the outermost lines.
     """

@@ -13,6 +13,7 @@ Techniques 2(2) (2013); daylight D65, CIE 15, its table at 10 nm over the range 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from clacad.base.hashing import GOLDEN, mixed
 from clacad.base.sobol import sobol
 from clacad.base.vectors import picture_axes
+from clacad.design.sections import SPECTRA
 
 if TYPE_CHECKING:
     from clacad.base.types import Floats, Ints
@@ -30,12 +32,6 @@ if TYPE_CHECKING:
     from clacad.scene import Camera, Light
     from clacad.scene.kinds import Rgb
     from clacad.sheet.window import Window
-
-RGB_LINES = (611.4e-9, 549.1e-9, 464.2e-9)
-"""Dominant wavelengths of the sRGB primaries (ITU-R BT.709) under D65, metres."""
-
-DAYLIGHT_NM = tuple(440.0 + 26.25 * k for k in range(9))
-"""Nine samples of daylight, nm: nearly all of the eye's response, within the data of most materials."""
 
 _D65_NM = tuple(range(430, 660, 10))
 _D65 = tuple(
@@ -76,19 +72,21 @@ def lines(light: Light, window: Window, dispersion: bool) -> tuple[SpectralLine,
         return (SpectralLine(light.spectrum if tells else None, np.ones(3), np.ones(3), whole=True),)
     if not (dispersion and tells):
         return (SpectralLine(None, np.ones(3), np.ones(3), whole=True),)
+    spectrum = SPECTRA[light.spectrum]
     if light.spectrum == "rgb":
-        return tuple(SpectralLine(wave, unit, unit) for wave, unit in zip(RGB_LINES, np.eye(3), strict=True))
-    return _daylight()
+        return tuple(SpectralLine(wave, unit, unit) for wave, unit in zip(spectrum, np.eye(3), strict=True))
+    return _daylight(spectrum)
 
 
-def _daylight() -> tuple[SpectralLine, ...]:
-    waves = np.array(DAYLIGHT_NM)
-    weights = (_matching(waves) * np.interp(waves, _D65_NM, _D65)[:, None]) @ _XYZ_TO_RGB.T
+def _daylight(spectrum: Mapping[float, float]) -> tuple[SpectralLine, ...]:
+    """Lines (metres → weight) as samples of daylight D65."""
+    waves, bright = 1e9 * np.array(list(spectrum)), np.array(list(spectrum.values()))
+    weights = (_matching(waves) * (bright * np.interp(waves, _D65_NM, _D65))[:, None]) @ _XYZ_TO_RGB.T
     weights /= weights.sum(axis=0)  # equal radiance at every line is white
     blue, red = np.clip((510.0 - waves) / 40.0, 0.0, 1.0), np.clip((waves - 570.0) / 30.0, 0.0, 1.0)
     bands = np.column_stack([red, 1.0 - red - blue, blue])
     basis = bands @ np.linalg.inv(weights.T @ bands)  # colours are reproduced exactly; rows still sum to 1
-    return tuple(SpectralLine(1e-9 * wave, b, w) for wave, b, w in zip(waves, basis, weights, strict=True))
+    return tuple(SpectralLine(wave, b, w) for wave, b, w in zip(spectrum, basis, weights, strict=True))
 
 
 def _matching(nm: Floats) -> Floats:

@@ -144,18 +144,20 @@ class Camera:
 class Light:
     """Section [light]: light on the objects, radiance = colour · (ambient + key · max(0, n · l)).
 
-    `spectrum` is "rgb", "D65" or a wavelength in metres; directions of polarisation in degrees from the x
-    axis, before and behind the sheet.
+    `spectrum` is a wavelength in metres, or a word of `clacad.design.sections.SPECTRA`: "visible" and
+    "photopic" have the lines and weights of a design's [light]. Directions of polarisation in degrees from the x axis,
+    before and behind the sheet.
     """
 
     ambient: float = keys.key(_SHARE, "light from everywhere", 0.35)
     key: float = keys.key(_SHARE, "light from one direction", 0.65)
     direction: Vector = keys.key(_VECTOR, "towards that light", (-0.4, 0.8, -0.45))
-    spectrum: Literal["rgb", "D65"] | float = keys.key(
+    spectrum: Literal["rgb", "D65", "visible", "photopic"] | float = keys.key(
         WordOr(
-            ("rgb", "D65"), Quantity("wavelength", "a wavelength from 10 nm to 1 mm", least=1e-8, most=1e-3)
+            ("rgb", "D65", "visible", "photopic"),
+            Quantity("wavelength", "a wavelength from 10 nm to 1 mm", least=1e-8, most=1e-3),
         ),
-        "one wavelength, three lines, or daylight in nine samples",
+        "one wavelength, three lines, daylight in nine samples, or the lines of a design's [light]",
         550e-9,
     )
     polariser: float | None = keys.key(_ANGLE, "direction the scene's light is polarised in")

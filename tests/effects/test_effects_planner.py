@@ -146,12 +146,21 @@ def test_lenslets_that_a_pixel_resolves_are_traced():
     assert "can be seen" in plan.rung_why
 
 
-def test_daylight_lines_of_plan_and_picture_are_the_same():
-    from clacad.effects.dispersion import LINES
-    from clacad.rendering.camera import DAYLIGHT_NM, RGB_LINES
+@pytest.mark.parametrize("spectrum", ["rgb", "D65", "visible", "photopic"])
+def test_plan_picture_and_design_have_the_lines_of_one_word(spectrum):
+    from clacad.design.sections import LightSpec
+    from clacad.effects.engine.probe_rays import design_setting, situation_of_scene
+    from clacad.rendering.camera import lines
 
-    assert LINES["rgb"] == RGB_LINES
-    assert LINES["D65"] == pytest.approx([1e-9 * nm for nm in DAYLIGHT_NM], rel=1e-15)
+    scene = load_scene(SCENES / "effects-wide.toml", (f'light.spectrum="{spectrum}"',))
+    situation = situation_of_scene(scene)
+    traced = tuple(line.wavelength for line in lines(scene.light, situation.window, True))
+    assert situation.wavelengths == traced
+    if spectrum in ("visible", "photopic"):
+        design = load(DESIGNS / "slab.toml")
+        assert design_setting(design).wavelengths == ()
+        assert design_setting(design.replace("light.spectrum", spectrum)).wavelengths == traced
+        assert tuple(LightSpec(spectrum=spectrum).lines) == traced
 
 
 def test_the_command_prints_the_plan(capsys):

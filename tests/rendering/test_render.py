@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import math
 import signal
 import subprocess
@@ -338,7 +339,7 @@ def test_three_lines_of_a_material_without_dispersion_give_the_plain_picture():
         assert found[0].wavelength is None
 
 
-@pytest.mark.parametrize("spectrum", ["rgb", "D65"])
+@pytest.mark.parametrize("spectrum", ["rgb", "D65", "visible", "photopic"])
 def test_colours_come_back_through_the_spectrum(spectrum):
     from clacad.prescription.prescribe import prescribe
     from clacad.rendering.camera import lines
@@ -352,8 +353,72 @@ def test_colours_come_back_through_the_spectrum(spectrum):
         back = sum((np.array(colour) @ line.basis) * line.weight for line in found)
         np.testing.assert_allclose(back, colour, atol=1e-12)
     white = [np.ones(3) @ line.basis for line in found]
-    if spectrum == "D65":
+    if spectrum != "rgb":
         np.testing.assert_allclose(white, 1.0, atol=1e-12)  # white is the same at every line
+
+
+SLAB = {
+    "format": 1, "name": "slab", "unit": "mm", "law": {"eta": [-1, -1]},
+    "pair": {"form": "slab", "separation": 10.0, "material": "PMMA", "wavelength": 549.1, "surface": "biconic",
+             "conic": [-0.448, -0.448]},
+    "lattice": {"pitch": 0.5, "count": [200, 200]},
+}  # fmt: skip
+LAYERS = {
+    "form": "slab", "separation": 10.0, "layers": ["silica", "N-SF6", "silica"], "wavelength": 549.1,
+}  # fmt: skip
+
+
+def white_edge(folder, spectrum, **changes):
+    """A far white half-plane through a slab: angles (n,) across its edge, and colours (n, 3).
+
+    A pixel covers two cells, so that it has light from all places of a lens.
+    """
+    (folder / "slab.json").write_text(json.dumps({**SLAB, **changes}))
+    away, frame, far = 20000.0, 60.0, 1e9
+    seen = Scene.from_dict({
+        "format": 1, "name": "edge", "unit": "mm", "sheet": {"design": "slab.json", "rung": "surfaces"},
+        "camera": {"position": [0, 0, -away], "frame": frame, "pixels": [60, 4], "samples": 256},
+        "light": {"ambient": 1.0, "key": 0.0, "spectrum": spectrum},
+        "background": {"sky": ["#000000", "#000000"], "ground": [0, 0, 0]},
+        "effects": {"mode": "list", "list": ["dispersion"]},
+        "object": [{"kind": "box", "at": [0.5 * far, 0, far], "size": [far, far, 1.0], "colour": [1, 1, 1]}],
+    }, folder=str(folder))  # fmt: skip
+    return frame / away * ((np.arange(60) + 0.5) / 60 - 0.5), view_through(seen).light.mean(axis=0)
+
+
+def edge_width(angle, light):
+    """Root mean square width of the step in a profile, less that of a pixel."""
+    near = np.abs(angle) < 1e-3
+    rise, middle = np.diff(light[near]), 0.5 * (angle[near][1:] + angle[near][:-1])
+    rise = rise / rise.sum()
+    mean = (rise * middle).sum()
+    return math.sqrt(max(0.0, (rise * (middle - mean) ** 2).sum() - (angle[1] - angle[0]) ** 2 / 6.0))
+
+
+def test_a_white_edge_through_a_dispersive_sheet_has_fringes_of_the_width_of_the_closed_form(tmp_path):
+    """Change of slope ε (1 − η)/η x/f1, x even over the cell, f1 = s/(1 − η), ε = (n − n0)/(n (n − 1))."""
+    from clacad.optics.material.catalogue import find
+
+    index = find("PMMA").index
+    angle, picture = white_edge(tmp_path, "rgb")
+    for channel, wave in ((0, 611.4e-9), (2, 464.2e-9)):
+        n = index(wave)
+        wanted = abs(n - index(549.1e-9)) / (n * (n - 1.0)) * 2.0 * (0.25 / 5.0) / math.sqrt(3.0)
+        assert edge_width(angle, picture[:, channel]) == pytest.approx(wanted, rel=0.03)
+    assert edge_width(angle, picture[:, 1]) < 0.06e-3  # of the design wavelength: a pixel
+    _, layered = white_edge(tmp_path, "rgb", pair=LAYERS)
+    assert edge_width(angle, layered[:, 2]) < 0.2 * edge_width(angle, picture[:, 2])
+
+
+@pytest.mark.slow
+def test_an_edge_in_the_lines_of_a_design_is_coloured_and_white_far_from_it(tmp_path):
+    angle, picture = white_edge(tmp_path, "visible")
+    inside, outside = angle > 1.1e-3, angle < -1.1e-3
+    assert np.abs(picture[outside]).max() < 1e-3
+    assert np.ptp(picture[inside], axis=1).max() < 0.05
+    assert np.ptp(picture[np.abs(angle) < 0.5e-3], axis=1).max() > 0.2
+    _, grey = white_edge(tmp_path, 549.1)
+    assert np.ptp(grey, axis=1).max() < 1e-12
 
 
 # -- against the reference views ---------------------------------------------------------------

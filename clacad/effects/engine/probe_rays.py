@@ -16,7 +16,7 @@ from clacad.base.sobol import sobol
 from clacad.base.text import mrad_text
 from clacad.base.types import Ints, Rung
 from clacad.base.vectors import picture_axes
-from clacad.effects.dispersion import LINES
+from clacad.design.sections import SPECTRA
 from clacad.effects.engine.effect import PROBE, Setting, Situation
 from clacad.light.compare import rms_between
 from clacad.optics.rays import Fate, Rays
@@ -97,8 +97,12 @@ def situation_of_design(design: Design, angle: float | None = None, radiance: fl
 
 
 def design_setting(design: Design) -> Setting:
-    """Parameters of the effects in a design."""
-    return Setting(roughness=design.body.roughness * design.unit_m, slope_rms=design.body.slope_rms)
+    """Parameters of the effects in a design; the lines of white light where it states them."""
+    return Setting(
+        roughness=design.body.roughness * design.unit_m,
+        slope_rms=design.body.slope_rms,
+        wavelengths=() if design.light.spectrum is None else tuple(design.light.lines),
+    )
 
 
 def situation_of_scene(
@@ -147,7 +151,7 @@ def scene_setting(scene: Scene, design: Design, scale: float) -> Setting:
         design_setting(design),
         coating=scene.effects.coating,
         order=scene.effects.order,
-        wavelengths=LINES[light.spectrum] if isinstance(light.spectrum, str) else (light.spectrum,),
+        wavelengths=tuple(SPECTRA[light.spectrum]) if isinstance(light.spectrum, str) else (light.spectrum,),
         polariser=polariser,
         analyser=analyser,
         aperture=camera.aperture * scale,
