@@ -145,8 +145,8 @@ class Light:
     """Section [light]: light on the objects, radiance = colour · (ambient + key · max(0, n · l)).
 
     `spectrum` is a wavelength in metres, or a word of `clacad.design.sections.SPECTRA`: "visible" and
-    "photopic" have the lines and weights of a design's [light]. Directions of polarisation in degrees from the x axis,
-    before and behind the sheet.
+    "photopic" have the lines and weights of a design's [light]. Directions of polarisation in degrees from
+    the x axis, before and behind the sheet.
     """
 
     ambient: float = keys.key(_SHARE, "light from everywhere", 0.35)

@@ -196,8 +196,9 @@ def _index(given: Case, answer: Case) -> dict[str, float]:
 def _layer(given: Case, answer: Case) -> dict[str, float]:
     from clacad.prescription.face_list import achromatic_share
 
-    glasses = [_material("cauchy", (*given[one], -2.0), (1e-7, 1e-5)) for one in ("outer", "inner")]
-    got = achromatic_share(*glasses, given["wavelength"], tuple(given["lines"]))
+    outer, inner = (_material("cauchy", (*given[one], -2.0), (1e-7, 1e-5)) for one in ("outer", "inner"))
+    first, last = given["lines"]
+    got = achromatic_share(outer, inner, given["wavelength"], (first, last))
     return {"share": _relative(got, answer["share"])}
 
 
