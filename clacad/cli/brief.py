@@ -110,7 +110,7 @@ def _fitted(lists: Sequence[Sequence[Entry]], width: int, room: int) -> Iterator
 
 
 def _command(line: str, width: int) -> list[str]:
-    """A command broken between words, each line but the last ended by a backslash: it runs where it is pasted."""
+    """A command broken between words, each line but the last ended by a backslash: it runs when pasted."""
     *broken, last = _folded(line, width, LINES, whole=True)
     if broken:
         *broken, last = _folded(line, width - 2, LINES, whole=True)
