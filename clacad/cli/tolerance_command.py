@@ -154,7 +154,9 @@ def tolerance_text(study: Study) -> str:
         "± tolerance; two standard deviations" if study.distribution == "normal" else "± tolerance; uniform"
     )
     lines = [["parameter", sides, "unit"]]
-    lines += [[p.name, *plainly(p.half, p.unit)] for p in study.parameters]
+    for p in study.parameters:
+        value, unit = plainly(p.half, p.unit)
+        lines.append([p.name, value, f"{unit} rms, from lenslet to lenslet".strip() if p.scatter else unit])
     blocks = [study.name, table(lines)]
     if study.cell is not None:
         blocks.append(f"the sheet is non-uniform: the study is of the uniform sheet of {study.of_cell}")

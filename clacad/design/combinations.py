@@ -81,6 +81,10 @@ _TOLERATED: Final = (
     TOLERANCES.thickness,
     TOLERANCES.tilt,
     TOLERANCES.roughness,
+    TOLERANCES.scatter_pitch,
+    TOLERANCES.scatter_radius,
+    TOLERANCES.scatter_vertex,
+    getattr(TOLERANCES, "class"),
 )
 
 FEATURES: Final = (

@@ -13,6 +13,7 @@ from clacad.config.compound_kinds import ListOf, Record, Several
 from clacad.config.keys import REQUIRED, key
 from clacad.config.quantities import Quantity
 from clacad.config.value_kinds import Text, Whole, Word
+from clacad.design.process_profiles import TOLERANCE_CLASSES
 
 if TYPE_CHECKING:  # a design is read without numpy
     from clacad.base.types import Pair2
@@ -138,8 +139,16 @@ class TolerancesSpec:
 
     A field lens on its own plate, and every plate between the first and the last of a list, has the larger
     tolerance of the two arrays. Each tolerance t means ±t
-    (roughness: 0 … t); 0 means no error.
+    (roughness: 0 … t); 0 means no error. A scatter is a standard deviation from lenslet to lenslet, the same
+    on every sheet. `grade` is the key `class`, whose values replace absent ones.
     """
+
+    grade: str | None = key(
+        Word(tuple(TOLERANCE_CLASSES)),
+        "process whose published tolerances apply where none are stated",
+        name="class",
+        later=True,
+    )
 
     decentre: Pair2 = key(
         Several(_LIMIT_LENGTH, _ARRAYS, single=True), "an array's displacement in x and in y", (0.0, 0.0)
@@ -159,6 +168,24 @@ class TolerancesSpec:
     )
     tilt: float = key(_NO_ANGLE, "tilt of array 2 against array 1 about x and about y", 0.0)
     roughness: float = key(_LIMIT_LENGTH, "rms roughness of the optical faces, from 0 up", 0.0)
+    scatter_pitch: Pair2 = key(
+        Several(_LIMIT_LENGTH, _ARRAYS, single=True),
+        "rms displacement of the single lenslets of a face in x and in y",
+        (0.0, 0.0),
+        later=True,
+    )
+    scatter_radius: Pair2 = key(
+        Several(_PART_FROM_0, _ARRAYS, single=True),
+        "rms relative error of the radii of the single lenslets of a face",
+        (0.0, 0.0),
+        later=True,
+    )
+    scatter_vertex: Pair2 = key(
+        Several(_LIMIT_LENGTH, _ARRAYS, single=True),
+        "rms displacement of the single lenslets of a face along the sheet's normal",
+        (0.0, 0.0),
+        later=True,
+    )
     distribution: Literal["normal", "uniform"] = key(
         Word(("normal", "uniform")),
         "normal: a tolerance is two standard deviations; uniform: it is the end",

@@ -1,5 +1,5 @@
 """Capabilities of fabrication processes and their materials: limits in metres, each with the source of the
-number.
+number; and tolerance classes.
 
 `none` means geometry only: a part must exist, nothing more. The numbers are typical of service shops. They
 are limits for checking a design, not promises of any machine.
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import radians
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from clacad.optics.material.material import Material
@@ -190,3 +190,71 @@ def profile(name: str) -> ProcessProfile:
     Raises KeyError: Unknown name; the design file's reader refuses those with a suggestion.
     """
     return {p.name: p for p in _PROFILES}[name]
+
+
+@dataclass(frozen=True, slots=True)
+class ToleranceClass:
+    """Tolerances that a process keeps by published figures.
+
+    values : Keys of [tolerances] with their values as written in a design file.
+    source : Document of each figure.
+    """
+
+    name: str
+    values: Mapping[str, Any]
+    source: str
+
+
+_APOLLO: Final = (
+    "Apollo Optical Systems, Manufacturing Tolerances (on its site, undated), column {}; decentre is its"
+    " concentricity of one surface to the other"
+)
+_MOULDED: Final = "injection moulding, {}"
+
+TOLERANCE_CLASSES: Final[Mapping[str, ToleranceClass]] = {
+    name: ToleranceClass(name, values, source)
+    for name, values, source in (
+        (
+            "moulding-precision",
+            {"decentre": ["0 um", "15 um"], "radius": 0.005, "thickness": "15 um", "roughness": "5 nm"},
+            _APOLLO.format(_MOULDED.format("precision")),
+        ),
+        (
+            "moulding-commercial",
+            {"decentre": ["0 um", "25 um"], "radius": 0.01, "thickness": "25 um", "roughness": "7.5 nm"},
+            _APOLLO.format(_MOULDED.format("commercial")),
+        ),
+        (
+            "turning",
+            {"decentre": ["0 um", "5 um"], "radius": 0.005, "thickness": "20 um", "roughness": "10 nm"},
+            _APOLLO.format("single point diamond turning, commercial"),
+        ),
+        (
+            "grinding",
+            {
+                "decentre": ["0 um", "10 um"],
+                "radius": 0.001,
+                "thickness": "20 um",
+                "index": 5e-4,
+                "roughness": "1 nm",
+            },
+            "Optimax, Tolerancing Limits for aspheric surfaces (vertex radius 0.1 %, roughness 10 Å), for"
+            " spherical surfaces (thickness) and for cylinder surfaces (axis decentration); index: Optimax,"
+            " Manufacturing Tolerance Chart, column precision (pages of its site, undated)",
+        ),
+        (
+            "two-photon",
+            {"decentre": ["0 um", "1 um"], "radius": 0.01, "roughness": "15 nm"},
+            "roughness: Gissibl et al., Nature Photonics 10, 554 (2016), rms below 15 nm;"
+            " radius and decentre: typical shop data, no document found that states them",
+        ),
+        (
+            "resin",
+            {"decentre": ["0 um", "50 um"], "radius": 0.0025, "thickness": "200 um"},
+            "radius: Forge Labs, Stereolithography Design Guide (undated), 0.25 % of a dimension; thickness:"
+            " Additive3D Asia, What Tolerance Can SLA 3D Printing Achieve (undated), 0.2 mm of 100 mm;"
+            " decentre: a pixel of the profile sla",
+        ),
+    )
+}
+"""Tolerance classes by name. None states a scatter from lenslet to lenslet: no published figure was found."""

@@ -18,6 +18,7 @@ from clacad.config.toml_text import given_table, parse, read_text
 from clacad.design.body import filling_count
 from clacad.design.cell_table import digest, table_path
 from clacad.design.drawn_outline import with_points
+from clacad.design.process_profiles import TOLERANCE_CLASSES
 from clacad.design.rules import Asked
 from clacad.design.sections import DESIGN, SECTIONS, SPECS
 from clacad.design.sheet_rules import broken
@@ -122,6 +123,11 @@ def _built(values: dict[str, Any], data: dict[str, Any], source: str | None, pat
         check["confocality"] = 0.002 if by_construction else 0.02
     unit = units.design_unit(values["unit"])
     assert unit is not None, values["unit"]  # UnitWord accepted it
+    tolerances = part["tolerances"]
+    if tolerances["class"] is not None:
+        for name, value in TOLERANCE_CLASSES[tolerances["class"]].values.items():
+            if name not in data["tolerances"]:
+                tolerances[name] = SECTIONS["tolerances"][name].kind.read(value, unit)
     specs = {name: spec(**attributes_of(spec, part[name])) for name, spec in SPECS.items()}
     specs["law_spec"] = specs.pop("law")
     head = {

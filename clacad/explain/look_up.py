@@ -21,7 +21,7 @@ from clacad.base.units import LENGTHS, Unit
 from clacad.checks.check import kinds
 from clacad.config.mistakes import CODES as IN_DESIGNS
 from clacad.design.combinations import BUILT, ITSELF, matrix
-from clacad.design.process_profiles import ProcessProfile, profiles
+from clacad.design.process_profiles import TOLERANCE_CLASSES, ProcessProfile, ToleranceClass, profiles
 from clacad.design.sections import DESIGN, PAIR, ROOT, SECTIONS
 from clacad.explain.design_mistakes import MISTAKES, Entry
 from clacad.explain.glossary import SYNONYMS, WORDS
@@ -39,6 +39,7 @@ def named_things() -> Iterator[Entry]:
     """Entries of all processes, effects, formats and materials."""
     yield _combinations()
     yield from map(_process, profiles())
+    yield from map(_tolerance_class, TOLERANCE_CLASSES.values())
     yield from map(_effect, registry.NAMES)
     yield _formats()
     yield from map(_format, formats())
@@ -136,6 +137,23 @@ def _defaults(one: ProcessProfile) -> str:
         base = " on a base that keeps its thickness" if made["substrate"] else ""
         words.append(f"shrinkage {100 * lateral:g} % in x and y, {100 * height:g} % in z{base}")
     return ", ".join(words) or "nothing is left"
+
+
+def _tolerance_class(one: ToleranceClass) -> Entry:
+    values = ", ".join(
+        f"{name} {' and '.join(value) if isinstance(value, list) else value}"
+        for name, value in one.values.items()
+    )
+    return Entry(
+        "",
+        f"class {one.name}",
+        f"tolerance class {one.name}",
+        f"Tolerances of [tolerances] that are not stated: {values}.",
+        f"From: {one.source}.",
+        "",
+        f'tolerances.class = "{one.name}" in the design file; a stated tolerance replaces that of the class.',
+        "process",
+    )
 
 
 def _worked(one: ProcessProfile) -> list[str]:

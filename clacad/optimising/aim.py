@@ -178,13 +178,14 @@ def _errors(design: Design, window: Window) -> Iterator[tuple[Parameter, float, 
     from clacad.verification.tolerance.study import NO_TOLERANCES, NoTolerances
 
     of_sigma = SIGMAS if design.tolerances.distribution == "normal" else sqrt(3.0)
-    stated = [error for error in parameters(design, window) if not error.one_sided]
+    stated = [error for error in parameters(design, window) if error.scatter or not error.one_sided]
     if not stated:
         raise NoTolerances(NO_TOLERANCES)
     cells = places_of_errors(window)
     far = cells[int(np.argmax((cells**2).sum(axis=1)))]
     for error in stated:
-        yield error, error.half / of_sigma, far if error.key in ("rotation", "tilt") else cells[0]
+        sigma = error.half if error.scatter else error.half / of_sigma
+        yield error, sigma, far if error.key in ("rotation", "tilt") else cells[0]
 
 
 def kept_light(window: Window, field: float, design: Design, fewest: int = 1) -> AskedLight:

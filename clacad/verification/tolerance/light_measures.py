@@ -20,6 +20,11 @@ law_rms_x, law_rms_y
     Centre of the cell with that law_rms.
 law_white, colour, temperature
     Defined as in the checks of the same names, of the worst of the traced cells; for designs that state them.
+
+Errors that differ from lenslet to lenslet have a mean of 0 and a standard deviation σ. The mean squares of
+law_rms, blur and law_white over all lenslets, and the mean throughput, change by σ² times half their second
+derivative to the error of one lenslet. That change is computed in the middle cell from errors of ±σ; those of
+several errors add up. The other measures are of a mean direction and do not change.
 """
 
 from __future__ import annotations
@@ -138,9 +143,11 @@ class Bench:
     wavelength: float
     lines: Mapping[float, float] = field(default_factory=dict)
     kelvin: float = 0.0
+    _known: dict[tuple[str, float], Floats] = field(init=False, default_factory=dict, repr=False)
 
     def measured(self, errors: Errors) -> dict[str, float]:
         """All measures of the sheet made with these errors; NaN where too little light is transmitted."""
+        errors, scatter = split(errors)
         found = self._chief_measures(errors)
         spread, share_, rms, bias = [], [], [], []
         stated: list[dict[str, float]] = []
@@ -154,9 +161,15 @@ class Bench:
             stated.append(self._stated(errors, place, light["cone"]))
             if number == 0:
                 found |= self._fitted(light["narrow"].fitted)
-        kept = min(share_)
+        added = self.scattered(scatter)
+        spread, rms = (
+            _with_squares(values, added[name]) for name, values in (("blur", spread), ("law_rms", rms))
+        )
+        kept = min(share_) + clear * added["throughput"]
         x, y = self.window.unit * self.places[_first_worst(rms)]
         found |= {name: _worst([one[name] for one in stated]) for name in stated[0]}
+        if "law_white" in found:
+            found["law_white"] = _with_squares([found["law_white"]], added["law_rms"])[0]
         return found | {
             "blur": _worst(spread),
             "throughput": kept,
@@ -166,6 +179,25 @@ class Bench:
             "law_rms_x": float(x),
             "law_rms_y": float(y),
         }
+
+    def scattered(self, scatter: Errors) -> dict[str, float]:
+        """Changes of mean squares of law_rms and blur, and of throughput, by errors of each lenslet."""
+        total = np.zeros(3)
+        for name, sigma in scatter.items():
+            key = (name, sigma)
+            if sigma and key not in self._known:
+                middle = self.light({}, self.places[0])
+                ends = [self._squares({name: way * sigma}, middle["beam"]) for way in (1.0, -1.0)]
+                self._known[key] = 0.5 * (ends[0] + ends[1]) - self._squares({}, middle["beam"])
+            total = total + self._known.get(key, 0.0)
+        return dict(zip(("law_rms", "blur", "throughput"), (float(one) for one in total), strict=True))
+
+    def _squares(self, errors: Errors, designed: Light) -> Floats:
+        """Mean squares of law_rms and of angles to the mean direction as designed, and throughput."""
+        light = self.light(errors, self.places[0])
+        beam = light["beam"]
+        blur = beam.spread**2 + float(np.sum((beam.mean - designed.mean) ** 2))
+        return np.array([light["cone"].rms ** 2, blur, light["cone"].share])
 
     def light(self, errors: Errors, place: Floats | None = None) -> dict[str, Light]:
         """Light of each bundle through one cell of a sheet with these errors; default the sheet's middle."""
@@ -328,6 +360,19 @@ def _chief_rays(window: Window, middle: Floats, low: float) -> Rays:
     at = np.array([0.0 * u, u, -u, v, -v]) * size
     start = at + middle * ((low - at[:, 2:]) / middle[2])
     return Rays(start, np.broadcast_to(middle, start.shape).copy())
+
+
+def split(errors: Errors) -> tuple[Errors, Errors]:
+    """Errors of whole arrays, and standard deviations of those from lenslet to lenslet."""
+    parts: tuple[dict[str, float], dict[str, float]] = ({}, {})
+    for name, value in errors.items():
+        parts[name.startswith("scatter_")][name] = value
+    return parts
+
+
+def _with_squares(values: list[float], added: float) -> list[float]:
+    """Root mean squares whose mean square is larger by `added`."""
+    return [float(np.sqrt(max(0.0, value * value + added))) if added else value for value in values]
 
 
 def _worst(values: list[float]) -> float:

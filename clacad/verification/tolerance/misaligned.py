@@ -12,7 +12,7 @@ numbers of others.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import dist
 from statistics import NormalDist
@@ -148,10 +148,7 @@ def as_made(window: Window, errors: Errors) -> Window:
     parts = {id(face): part for _, part, face in _curved(window)}
     risen, gap = 0.0, 0  # of listed plates: all that lies behind a thicker body or gap moves away
     for number, body in enumerate(window.bodies, 1):
-        front, back = (
-            replace(face, surface=grown(face.surface, errors.get(f"radius.{parts.get(id(face), '')}", 0.0)))
-            for face in (body.front, body.back)
-        )
+        front, back = (_face_as_made(face, parts.get(id(face)), errors) for face in (body.front, body.back))
         if body.joined:
             front = bodies[-1].back.seen_from_behind
         made = replace(body, front=front, back=back, index=body.index + errors.get(f"index.{number}", 0.0))
@@ -169,6 +166,19 @@ def as_made(window: Window, errors: Errors) -> Window:
             made = thicker(made, change) if change else made
         bodies.append(made)
     return replace(window, bodies=tuple(bodies))
+
+
+def _face_as_made(face: Face, part: str | None, errors: Errors) -> Face:
+    """The face with the errors of its radii and of the place of its lenslet."""
+    if part is None:
+        return face
+    alone = (
+        errors.get(f"scatter_{name}", 0.0)
+        for name in (f"pitch.{part}.x", f"pitch.{part}.y", f"vertex.{part}")
+    )
+    x, y, z = (place + step for place, step in zip(face.vertex, alone, strict=True))
+    larger = errors.get(f"radius.{part}", 0.0) + errors.get(f"scatter_radius.{part}", 0.0)
+    return replace(face, surface=grown(face.surface, larger), vertex=(x, y, z))
 
 
 def _thicker_outside(body: Body, change: float, number: int) -> Body:
@@ -270,6 +280,9 @@ class Parameter:
     uniform : bool
         Whether all errors up to the tolerance are equally likely, regardless of the design's distribution
         (pin play).
+    scatter : bool
+        Whether every lenslet has an error of its own, with the standard deviation `half`, the same on every
+        sheet.
     """
 
     name: str
@@ -278,6 +291,7 @@ class Parameter:
     unit: str
     one_sided: bool = False
     uniform: bool = False
+    scatter: bool = False
 
 
 def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
@@ -308,6 +322,7 @@ def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
     found += [Parameter(f"tilt.{axis}", "tilt", spec.tilt, "rad") for axis in "xy"]
     found.append(Parameter("roughness", "roughness", spec.roughness, unit, one_sided=True))
     found += _play(design)
+    found += _scatter(design, window)
     return tuple(p for p in found if p.half > 0.0)
 
 
@@ -329,6 +344,23 @@ def _play(design: Design) -> list[Parameter]:
         Parameter("pins.y", "play", pins.play, design.unit, uniform=True),
         Parameter("pins.turn", "play", 2.0 * pins.play / apart, "rad", uniform=True),
     ]
+
+
+def _scatter(design: Design, window: Window) -> Iterator[Parameter]:
+    """Parameters of the errors that differ from lenslet to lenslet, face by face."""
+    spec = design.tolerances
+    for array, part, _ in _curved(window):
+        pitch, radius, vertex = (
+            spec.of_array(halves, array - 1)
+            for halves in (spec.scatter_pitch, spec.scatter_radius, spec.scatter_vertex)
+        )
+        for name, key, half, unit in (
+            (f"scatter_pitch.{part}.x", "scatter_pitch", pitch, design.unit),
+            (f"scatter_pitch.{part}.y", "scatter_pitch", pitch, design.unit),
+            (f"scatter_radius.{part}", "scatter_radius", radius, ""),
+            (f"scatter_vertex.{part}", "scatter_vertex", vertex, design.unit),
+        ):
+            yield Parameter(name, key, half, unit, one_sided=True, scatter=True)
 
 
 def _curved(window: Window) -> list[tuple[int, str, Face]]:
@@ -361,10 +393,14 @@ def draw(
     sample : int ≥ 0
     distribution : "normal" or "uniform"
         Normal: the tolerance is 2 standard deviations. Uniform: the tolerance is the limit, as always for
-        parameters with `uniform`. One-sided parameters take the absolute value.
+        parameters with `uniform`. One-sided parameters take the absolute value. A scatter is that of the
+        design.
     """
     found = {}
     for p in chosen:
+        if p.scatter:
+            found[p.name] = p.half
+            continue
         # one number uses only the first word of the counter's output
         word = np.random.Philox(key=seed, counter=[0, 0, crc32(p.name.encode()), sample]).random_raw()
         uniform = ((int(word) >> 11) + 0.5) * 2.0**-53

@@ -207,6 +207,8 @@ def yield_if_tighter(study: Study, key: str, factor: float) -> float | None:
     for k, one in enumerate(study.parameters):
         if one.key != key or one.half == 0.0:
             continue
+        if one.scatter:  # every sheet has it: none was drawn without
+            return None
         scaled = study.errors[:, k] / one.half
         if study.distribution == "normal" and not one.uniform:  # a tolerance is two standard deviations
             weight *= np.exp(-2.0 * scaled**2 * (factor**-2 - 1.0))

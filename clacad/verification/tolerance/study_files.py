@@ -53,6 +53,7 @@ def study_document(study: Study) -> dict[str, Any]:
         "units": study.units,
         "parameters": [
             {"name": p.name, "key": p.key, "tolerance": p.half, "unit": p.unit, "one_sided": p.one_sided}
+            | ({"scatter": True} if p.scatter else {})
             for p in study.parameters
         ],
         "nominal": {name: finite(value) for name, value in study.nominal.items()},
