@@ -12,7 +12,7 @@ from clacad.base.text import mrad_text, pair_text, percent_text, short_size_text
 from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option, required
 from clacad.cli.console import Console, show_text, table
-from clacad.cli.option_values import BadOption, cell_option, load_counted, load_design, of_cell
+from clacad.cli.option_values import BadOption, cell_option, load_counted, load_design
 
 if TYPE_CHECKING:
     from clacad.advice import Advice, Fixed, Judged
@@ -285,11 +285,10 @@ class Explore(OfDesign):
 def run_explore(request: Explore, console: Console) -> int:
     """Write the page, or with --dry-run forecast it; print its first verdict and what it leaves out."""
     design = load_counted(request.design, request.set)  # refuses before a module is loaded that makes pages
-    design = of_cell(design, request.cell)
     from clacad.explorer.write_page import SECONDS, explore
 
     with console.forecast("explore", SECONDS):
-        made = explore(design, request.out, request.overwrite, dry_run=request.dry_run)
+        made = explore(design, request.out, request.overwrite, cell=request.cell, dry_run=request.dry_run)
     console.show(lambda: made.to_dict() | {"processor_s": SECONDS}, lambda: _page_text(made, design.unit))
     return 0
 

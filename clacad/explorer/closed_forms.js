@@ -1,4 +1,4 @@
-/* What the thin pair does, in closed form: the same numbers as clacad/sheet/vignetting.py and pitch_for_eye.py give.
+/* Closed forms of the thin pair: the numbers of clacad/sheet/vignetting.py and clacad/sheet/feasibility.
    Lengths in units of the design, angles in degrees, wavelengths in metres. A sheet is made of facts (of the design)
    and a state (of the sliders). */
 const closedForms = (function () {
@@ -57,17 +57,38 @@ const closedForms = (function () {
     return (Math.max.apply(null, along) - Math.min.apply(null, along)) / 2;
   }
 
-  /* Displacement of the slab's own array 2, whose glass bends the ray that asks for it; lengths. */
-  function slabShift(facts, turn, d, s) {
-    if (facts.aperture === "aligned") return [0, 0];
-    const thick = toSheet(turn, [d[0], d[1], facts.index * s]);
-    if (facts.aperture === "centred") return [thick[0], thick[1]];
-    const n = facts.index, axis = toSheet(turn, [0, 0, 1]), long = Math.hypot(facts.aperture[0], facts.aperture[1], 1);
-    const u = [facts.aperture[0] / long, facts.aperture[1] / long, 1 / long];
+  /* Where light of slope a in air, bent by the slab's glass, reaches array 2 from the centre of cell 1; lengths. */
+  function slabLanding(facts, turn, thickness, a) {
+    const n = facts.index, axis = toSheet(turn, [0, 0, 1]), long = Math.hypot(a[0], a[1], 1);
+    const u = [a[0] / long, a[1] / long, 1 / long];
     const c = u[0] * axis[0] + u[1] * axis[1] + u[2] * axis[2];
     const push = Math.sqrt(n * n - 1 + c * c) - c; // Snell: n u' = u + push axis
     const g = u.map(function (v, k) { return v + push * axis[k]; });
-    return [thick[2] * g[0] / g[2], thick[2] * g[1] / g[2]];
+    return [thickness * g[0] / g[2], thickness * g[1] / g[2]];
+  }
+  /* Displacement of the slab's own array 2; `drift` as of a sheet, of its own cells; lengths. */
+  function slabShift(facts, turn, d, s, drift) {
+    const thick = toSheet(turn, [d[0], d[1], facts.index * s]);
+    if (facts.aim) return slabLanding(facts, turn, thick[2], [0, 0]).map(function (v, k) { return v - drift * facts.aim[k]; });
+    if (facts.aperture === "aligned") return [0, 0];
+    return facts.aperture === "centred" ? [thick[0], thick[1]] : slabLanding(facts, turn, thick[2], facts.aperture);
+  }
+
+  /* Middle of cell (0, 0), in pitches; `tall` is the height of a rectangular cell over its width. */
+  function firstCentre(hexagonal, count, tall) {
+    if (!hexagonal) return [-0.5 * (count[0] - 1), -0.5 * (count[1] - 1) * tall];
+    return [-0.5 * (count[0] - 1 + Math.floor(count[1] / 2) / count[1]), -0.5 * (count[1] - 1) * Math.sqrt(3) / 2];
+  }
+  /* Steps to the nearest middle of a cell, and the rest; p in pitches, from the middle of a cell. */
+  function relocated(hexagonal, tall, p) {
+    const py = hexagonal ? Math.sqrt(3) / 2 : tall;
+    let best = null;
+    const j0 = Math.floor(p[1] / py + 0.5), i0 = Math.floor(p[0] - (hexagonal ? 0.5 * j0 : 0) + 0.5);
+    for (let j = j0 - 1; j <= j0 + 1; j++) for (let i = i0 - 1; i <= i0 + 1; i++) {
+      const rest = [p[0] - i - (hexagonal ? 0.5 * j : 0), p[1] - j * py], far = Math.hypot(rest[0], rest[1]);
+      if (best === null || far < best.far) best = { far: far, steps: [i, j], rest: rest };
+    }
+    return best;
   }
 
   function sheet(facts, state) {
@@ -81,25 +102,30 @@ const closedForms = (function () {
     const power2 = state.eta.map(function (e) { return -(1 - e) / (e * s); });
     const d = state.delta.map(function (v, k) { return v === 0 || power1[k] === 0 ? 0 : v / power1[k]; });
     const offset = toSheet(turn, [d[0], d[1], s]);
-    const shift = facts.aperture === "centred" ? [offset[0], offset[1]] : facts.aperture === "aligned" ? [0, 0]
-      : [offset[2] * facts.aperture[0], offset[2] * facts.aperture[1]];
-    const solidShift = facts.form === "slab" ? slabShift(facts, turn, d, s) : shift;
+    // an aimed sheet: cells of array 2 where light of the viewer arrives, a lattice with a larger or smaller pitch
+    const drift = facts.aim ? -offset[2] / facts.aim[2] : 0, grow = 1 + drift;
+    const shift = facts.aim ? [-drift * facts.aim[0], -drift * facts.aim[1]] : facts.aperture === "centred" ? [offset[0], offset[1]]
+      : facts.aperture === "aligned" ? [0, 0] : [offset[2] * facts.aperture[0], offset[2] * facts.aperture[1]];
+    const first = firstCentre(hexagonal, count, pitch[1] / pitch[0]).map(function (v) { return v * pitch[0]; });
+    const solidDrift = drift * facts.built, solidShift = facts.form === "slab" ? slabShift(facts, turn, d, s, solidDrift) : shift;
     const tile = tileOf(facts, pitch), opening = facts.baffle === null ? facts.seam : Math.max(facts.seam, facts.baffle);
     const lit = less(tile, pitch, opening, hexagonal);
+    const pitch2 = pitch.map(function (v) { return grow * v; }), tile2 = tile.map(function (c) { return [grow * c[0], grow * c[1]]; });
     const axis = toSheet(turn, [0, 0, 1]);
     function inLensPlane(p) { return toLens(turn, [p[0], p[1], -(p[0] * axis[0] + p[1] * axis[1]) / axis[2]]).slice(0, 2); }
-    const zone = lit.map(inLensPlane);
+    const zone = lit.map(inLensPlane), zone2 = less(tile2, pitch2, opening, hexagonal).map(inLensPlane);
     let image = zone.map(function (c) { return [c[0] * state.eta[0], c[1] * state.eta[1]]; });
     if (area(image) < 0) image = image.slice().reverse();
     const at = toLens(turn, offset), rest = inLensPlane([shift[0] - offset[0], shift[1] - offset[1]]);
     return {
       facts: facts, state: state, s: s, pitch: pitch, count: count, hexagonal: hexagonal, turn: turn, power1: power1,
-      power2: power2, offset: offset, shift: shift, solidShift: solidShift, tile: tile, zone: zone, image: image,
-      centre: [at[0] + rest[0], at[1] + rest[1]], part: Math.abs(area(lit) / area(tile)),
-      middle: [shift[0] / offset[2], shift[1] / offset[2]],
+      power2: power2, offset: offset, shift: shift, drift: drift, solidShift: solidShift, solidDrift: solidDrift, first: first, tile: tile, zone: zone, zone2: zone2,
+      image: image, centre: [at[0] + rest[0], at[1] + rest[1]], part: Math.abs(area(lit) / area(tile)),
+      middle: [shift[0] / offset[2], shift[1] / offset[2]], inLensPlane: inLensPlane,
     };
   }
 
+  const NEAREST = 10; // as in clacad/prescription/aimed_cells.py
   /* Why no such sheet can be made, of what closed forms know; "" where nothing is against it. */
   function unbuildable(made) {
     const f = made.facts, e = made.state.eta;
@@ -113,6 +139,7 @@ const closedForms = (function () {
         return lens + " is concave: it has no plate for a seam, a border or an outline";
       }
     }
+    if (f.aim && Math.abs(f.aim[2]) < NEAREST * made.s) return "the sheet is aimed at a point nearer than " + NEAREST + " separations";
     return "";
   }
 
@@ -120,7 +147,7 @@ const closedForms = (function () {
   function noFieldLens(made) {
     const e = made.state.eta, quarter = made.turn[0][0] * made.turn[0][1] === 0;
     if (e[0] >= 0 || e[1] >= 0) return "its common focus is virtual unless \u03b7 < 0 in x and y";
-    if (made.facts.baffle !== null) return "not made beside a baffle";
+    if (made.facts.baffle !== null) return "not made with a baffle";
     if (made.facts.plate) return "not made in a plate with holes, corners, pins or a polygon";
     if (made.state.euler[1] !== 0) return "shown for lenses that are not tilted (\u03b8 = 0)";
     if (e[0] !== e[1] && (made.hexagonal || !quarter)) return "\u03b7x \u2260 \u03b7y: two crossed cylinders, which must run along the cells";
@@ -128,17 +155,27 @@ const closedForms = (function () {
   }
   function fieldLens(made) { return made.state.field && noFieldLens(made) === ""; }
 
-  /* Share of the light on a cell that meets its partner, for light along (x, y, 1). */
-  function share(made, slope) {
+  /* Share of the light on the cell with its middle at `cell` that meets its partner, for light along (x, y, 1). */
+  function share(made, slope, cell) {
     const v = toLens(made.turn, [slope[0], slope[1], 1]), t = [v[0] / v[2], v[1] / v[2]];
+    const apart = made.inLensPlane([made.drift * cell[0], made.drift * cell[1]]); // of the partner
+    const centre = [made.centre[0] + apart[0], made.centre[1] + apart[1]];
     let to = [made.s * t[0], made.s * t[1]];
     if (fieldLens(made)) { // the field lens brings light to the partner that goes through the partner's own field cell
-      const away = [0, 1].map(function (k) { return (t[k] - made.centre[k] / made.s) / made.power1[k]; });
+      const away = [0, 1].map(function (k) { return (t[k] - centre[k] / made.s) / made.power1[k] / fieldGrow(made)[k]; });
       const point = toSheet(made.turn, [away[0], away[1], 0]);
       if (!insideTile(made.tile, point)) return 0;
-      to = made.centre;
+      to = centre;
     }
-    return made.part * area(clip(moved(made.image, to), moved(made.zone, made.centre))) / area(made.image);
+    return made.part * area(clip(moved(made.image, to), moved(made.zone2, centre))) / area(made.image);
+  }
+  /* Pitch of the cells of the field lens over array 1's, along lens x and y: they lie on the lines between partners. */
+  function fieldGrow(made) { return made.power1.map(function (p) { return 1 + made.drift / (p * made.s); }); }
+  /* Middle of the cell of array 1 that holds the sheet point p; lengths. */
+  function cellAt(made, p) {
+    const w = made.pitch[0], at = [0, 1].map(function (k) { return (p[k] - made.first[k]) / w; });
+    const rest = relocated(made.hexagonal, made.pitch[1] / w, at).rest;
+    return [p[0] - rest[0] * w, p[1] - rest[1] * w];
   }
   function insideTile(tile, p) {
     return tile.every(function (a, k) {
@@ -160,20 +197,20 @@ const closedForms = (function () {
       const p = [((i + 0.5) / GRID - 0.5) * wide, ((j + 0.5) / GRID - 0.5) * tall];
       if (outline && (outline[0] === "circle" ? Math.hypot(p[0], p[1]) > outline[1] / 2
         : Math.abs(p[0]) > outline[1] / 2 || Math.abs(p[1]) > outline[2] / 2)) continue;
-      sum += share(made, [(p[0] - eye[0]) / -eye[2], (p[1] - eye[1]) / -eye[2]]); points++;
+      sum += share(made, [(p[0] - eye[0]) / -eye[2], (p[1] - eye[1]) / -eye[2]], cellAt(made, p)); points++;
     }
     return points ? sum / points : 0;
   }
   function halfField(made) {
     return [0, 1].map(function (k) {
-      if (!fieldLens(made)) return (half(made.zone, k) + half(made.image, k)) / made.s;
-      return half(made.tile.map(function (c) { return toLens(made.turn, [c[0], c[1], 0]); }), k) * made.power1[k];
+      if (!fieldLens(made)) return (half(made.zone2, k) + half(made.image, k)) / made.s;
+      return half(made.tile.map(function (c) { return toLens(made.turn, [c[0], c[1], 0]); }), k) * made.power1[k] * fieldGrow(made)[k];
     });
   }
   function ghostOnset(made) {
     const field = fieldLens(made) ? halfField(made) : null;
     return [0, 1].map(function (k) {
-      const free = Math.max(0, half(made.zone, k) - half(made.image, k)) / made.s;
+      const free = Math.max(0, half(made.zone2, k) - half(made.image, k)) / made.s;
       return field === null ? free : Math.abs(made.state.eta[k]) > 1 ? 0 : field[k];
     });
   }
@@ -191,12 +228,12 @@ const closedForms = (function () {
     const sharpest = st.eta.map(function (e) { return sharpestPitch(e, z, f.wavelength) / f.unitM; });
     const blur = st.eta.map(function (e) { return sharpestBlur(e, z, viewer, f.wavelength); });
     return {
-      share: share(made, made.middle), share_from_eye: shareFromEye(made), half_field: halfField(made),
+      share: share(made, made.middle, [0, 0]), share_from_eye: shareFromEye(made), half_field: halfField(made),
       ghost_onset: ghostOnset(made), sharpest_pitch: sharpest, advised_pitch: sharpest[blur[0] > blur[1] ? 0 : 1],
     };
   }
   return {
     sheet: sheet, share: share, verdict: verdict, noFieldLens: noFieldLens, unbuildable: unbuildable, fieldLens: fieldLens, eyePlace: eyePlace,
-    toLens: toLens, toSheet: toSheet, area: area,
+    toLens: toLens, toSheet: toSheet, area: area, relocated: relocated, fieldGrow: fieldGrow,
   };
 })();

@@ -5,7 +5,7 @@
   const tomlBox = page.querySelector("[name=toml]"), told = page.querySelector("[data-told]");
   const sliders = {}, switches = ["field", "ghosts"];
   for (const s of facts.sliders) sliders[s.id] = s;
-  const LEAST_ETA = 0.01, REST = 160; // milliseconds after which a picture that stands is drawn finely
+  const LEAST_ETA = 0.01, REST = 160; // milliseconds without a change after which the picture is drawn finely
   const FINE = 12; // rays a pixel of it
   const PHOTO = 1024; // most pixels a side of the reader's photograph
   const LIVE = 50; // milliseconds that a picture may take while something moves; else it is drawn coarser
@@ -37,7 +37,7 @@
     show(); draw();
   }
 
-  // -- what the page says ----------------------------------------------------------------------------
+  // -- texts of the page -------------------------------------------------------------------------------
   function digits(v) { return isFinite(v) ? String(Number(v.toPrecision(3))) : "unlimited"; }
   function degrees(t) { return digits(Math.atan(t) * 180 / Math.PI) + "\u00b0"; }
   function length(units) {
@@ -53,7 +53,7 @@
     const plusMinus = function (t) { return (t === 0 ? "" : "\u00b1") + degrees(t); };
     return "Light to the partner lens: " + digits(100 * v.share) + " % along the middle of the field, "
       + digits(100 * v.share_from_eye) + " % over the sheet from this eye. Ghosts from " + both(v.ghost_onset, plusMinus)
-      + "; field " + both(v.half_field, plusMinus) + ". Sharpest pitch for what stands " + length(state.object)
+      + "; field " + both(v.half_field, plusMinus) + ". Sharpest pitch for an object " + length(state.object)
       + " behind: " + length(v.advised_pitch) + " (this one: " + length(state.pitch) + ").";
   }
   function toml() {
@@ -66,15 +66,15 @@
     const lines = [], wrong = closedForms.unbuildable(made);
     if (wrong) lines.push("# cannot be made: " + wrong);
     const on = Boolean(closedForms.fieldLens(made)), start = started();
-    const anew = facts.given && ["eta_x", "eta_y", "delta_x", "delta_y", "separation", "field"].some(function (id) { return state[id] !== start[id]; });
-    if (anew) lines.push("# the faces that were given were for another law or separation: they are derived here");
+    const derived = facts.given && ["eta_x", "eta_y", "delta_x", "delta_y", "separation", "field"].some(function (id) { return state[id] !== start[id]; });
+    if (derived) lines.push("# the faces that were given were for another law or separation: they are derived here");
     let section = "";
     for (const line of facts.toml) {
       if (typeof line === "string") {
         if (line === "" && section === "[pair]" && on && !facts.field) lines.push("field_lens = true");
         if (line.startsWith("[")) section = line;
         const key = section === "[pair]" ? line.split(" = ")[0] : "";
-        if (!on && ["field_lens", "field"].includes(key) || anew && ["prescription", "face", "search", "vertex"].includes(key)) continue;
+        if (!on && ["field_lens", "field"].includes(key) || derived && ["prescription", "face", "search", "vertex"].includes(key)) continue;
         lines.push(line);
         continue;
       }
@@ -133,13 +133,13 @@
   const gl = canvas.getContext("webgl", { antialias: false, alpha: false, preserveDrawingBuffer: true });
   const precise = gl && gl.getShaderPrecisionFormat(gl.FRAGMENT_SHADER, gl.HIGH_FLOAT).precision >= 23;
   const NAMES = ["size", "eye", "ahead", "right", "up", "count", "pitch", "firstCentre", "kept", "solid", "solidCentre", "turn",
-    "power1", "power2", "apex2", "wholeSteps", "residual", "span", "margin", "opaque", "baffle", "fieldFocus",
+    "power1", "power2", "apex2", "wholeSteps", "residual", "drift", "fieldGrow", "span", "margin", "opaque", "baffle", "fieldFocus",
     "fieldPower", "fieldCentre", "objectAt", "card", "ghosts", "part", "photo", "photoHalf"];
   let photoHalf = null; // half sides of the reader's photograph over the card's; null: the card with an F
   const programs = {};
   function program(kind, wide, tall) { // "view", "fine" or "debug" for what the sheet has now, compiled when first used
     const out = outlines(), has = {
-      HEX: made.hexagonal, TILTED: state.theta !== 0, FIELD: closedForms.fieldLens(made), BAFFLE: facts.baffle !== null,
+      HEX: made.hexagonal, TILTED: state.theta !== 0, FIELD: closedForms.fieldLens(made), AIMED: made.drift !== 0, BAFFLE: facts.baffle !== null,
       OUTLINE: out.kept[0] > 0, SEAM: facts.seam > 0, BODY: out.solid[0] > 0, BEHIND: looksAway(camera(wide, tall)), DEBUG: kind === "debug", PHOTO: photoHalf !== null,
     };
     const head = Object.keys(has).filter(function (name) { return has[name]; }).map(function (name) { return "#define " + name + "\n"; }).join("")
@@ -163,42 +163,34 @@
     const least = Math.min(wide, tall); // the angle of view is that of the shorter side
     return { eye: eye, ahead: a, right: right.map(function (v) { return v * t * wide / least; }), up: up.map(function (v) { return v * t * tall / least; }) };
   }
-  function relocated(p) { // whole steps and rest of a displacement, in pitches
-    const hex = made.hexagonal, py = hex ? Math.sqrt(3) / 2 : made.pitch[1] / made.pitch[0];
-    let best = null;
-    const j0 = Math.floor(p[1] / py + 0.5), i0 = Math.floor(p[0] - (hex ? 0.5 * j0 : 0) + 0.5);
-    for (let j = j0 - 1; j <= j0 + 1; j++) for (let i = i0 - 1; i <= i0 + 1; i++) {
-      const rest = [p[0] - i - (hex ? 0.5 * j : 0), p[1] - j * py], far = Math.hypot(rest[0], rest[1]);
-      if (best === null || far < best.far) best = { far: far, steps: [i, j], rest: rest };
-    }
-    return best;
+  function relocated(p) { // whole steps of array 2 and rest of a displacement, in pitches
+    const grow = 1 + made.drift, over = p.map(function (v) { return v / grow; });
+    const best = closedForms.relocated(made.hexagonal, made.pitch[1] / made.pitch[0], over);
+    return { steps: best.steps, rest: best.rest.map(function (v) { return v * grow; }) };
   }
-  function heights(apex) { // lowest and highest point of a patch over its cell, in pitches
-    const axis = closedForms.toSheet(made.turn, [0, 0, 1]);
+  function heights(apex, drift) { // lowest and highest point of an array's patches over their cells, in pitches
+    const axis = closedForms.toSheet(made.turn, [0, 0, 1]), p = made.pitch[0], grow = 1 + drift;
     const z = made.tile.map(function (c) {
-      return -((c[0] / made.pitch[0] - apex[0]) * axis[0] + (c[1] / made.pitch[0] - apex[1]) * axis[1]) / axis[2] || 0;
+      return -((grow * c[0] / p - apex[0]) * axis[0] + (grow * c[1] / p - apex[1]) * axis[1]) / axis[2] || 0;
     });
-    return [Math.min.apply(null, z), Math.max.apply(null, z)];
+    const far = Math.abs(drift) * (Math.abs(made.first[0] * axis[0]) + Math.abs(made.first[1] * axis[1])) / p / Math.abs(axis[2]);
+    return [Math.min.apply(null, z) - far, Math.max.apply(null, z) + far];
   }
   function outlines() { // of the cells, and of the bodies: kind and half sizes in pitches
-    const p = made.pitch[0], o = facts.outline, slip = made.facts.form === "slab" ? made.solidShift : [0, 0];
+    const p = made.pitch[0], o = facts.outline, slip = facts.form === "slab" ? made.solidShift : [0, 0];
+    const wider = Math.max(1, 1 + made.solidDrift);
     if (o) {
       const round = o[0] === "circle", whole = round ? [o[1], o[1]] : [o[1], o[2]];
       const off = round ? [2 * Math.hypot(slip[0], slip[1]), 0] : [2 * Math.abs(slip[0]), 2 * Math.abs(slip[1])];
       const half = whole.map(function (v) { return v / 2 / p + facts.border / p; });
-      const kept = whole.map(function (v, k) { return Math.max(0, v - (round ? off[0] : off[k])) / 2 / p * (1 + 1e-6); });
+      const kept = whole.map(function (v, k) { return Math.max(0, v - (round ? off[0] : off[k])) / wider / 2 / p * (1 + 1e-6); });
       return { kept: [round ? 1 : 2, kept[0], kept[1]], solid: [round ? 1 : 2, half[0], half[1]] };
     }
-    if (facts.border === 0 && !(slip[0] || slip[1])) return { kept: [0, 0, 0], solid: [0, 0, 0] };
-    const first = firstCentre(), n = made.count, hex = made.hexagonal;
+    if (facts.border === 0 && !(slip[0] || slip[1] || facts.aim && facts.form === "slab")) return { kept: [0, 0, 0], solid: [0, 0, 0] };
+    const first = made.first.map(function (v) { return v / p; }), n = made.count, hex = made.hexagonal;
     const high = [first[0] + n[0] - 1 + (hex && n[1] > 1 ? 0.5 : 0) + 0.5, hex ? -first[1] + 1 / Math.sqrt(3) : n[1] * made.pitch[1] / p / 2];
-    const reach = [Math.max(0.5 - first[0], high[0]), high[1]].map(function (v, k) { return v + facts.border / p + Math.abs(slip[k]) / p; });
+    const reach = [Math.max(0.5 - first[0], high[0]), high[1]].map(function (v, k) { return v * wider + facts.border / p + Math.abs(slip[k]) / p; });
     return { kept: [0, 0, 0], solid: [2, reach[0], reach[1]] };
-  }
-  function firstCentre() {
-    const n = made.count;
-    if (!made.hexagonal) return [-0.5 * (n[0] - 1), -0.5 * (n[1] - 1) * made.pitch[1] / made.pitch[0]];
-    return [-0.5 * (n[0] - 1 + Math.floor(n[1] / 2) / n[1]), -0.5 * (n[1] - 1) * Math.sqrt(3) / 2];
   }
   function uniforms(wide, tall, part) {
     const p = made.pitch[0], m = made.turn, view = camera(wide, tall), out = outlines(), moved = relocated(made.shift.map(function (v) { return v / p; }));
@@ -208,11 +200,12 @@
     const q = f1.map(function (f) { return made.shift.map(function (v) { return v / made.s * f; }); });
     return {
       size: [wide, tall], eye: over(view.eye), ahead: view.ahead, right: view.right, up: view.up, count: made.count,
-      pitch: [1, made.hexagonal ? Math.sqrt(3) / 2 : made.pitch[1] / p], firstCentre: firstCentre(), kept: out.kept, solid: out.solid,
+      pitch: [1, made.hexagonal ? Math.sqrt(3) / 2 : made.pitch[1] / p], firstCentre: over(made.first), kept: out.kept, solid: out.solid,
       solidCentre: facts.form === "slab" ? [0, 0] : over(made.shift),
       turn: [m[0][0], m[1][0], m[2][0], m[0][1], m[1][1], m[2][1], m[0][2], m[1][2], m[2][2]],
       power1: made.power1.map(function (v) { return v * p; }), power2: made.power2.map(function (v) { return v * p; }),
-      apex2: apex, wholeSteps: moved.steps, residual: moved.rest, span: heights([0, 0]).concat(heights(apex)),
+      apex2: apex, wholeSteps: moved.steps, residual: moved.rest, drift: made.drift, fieldGrow: on ? closedForms.fieldGrow(made) : [1, 1],
+      span: heights([0, 0], 0).concat(heights(apex, made.drift)),
       margin: facts.seam / 2 / p, opaque: facts.opaque ? 1 : 0, baffle: (facts.baffle || 0) / 2 / p,
       fieldFocus: f1, fieldPower: [0, 1].map(function (k) { return (made.power1[k] + made.power2[k]) * p; }),
       fieldCentre: q[0].concat(q[1]), objectAt: (made.offset[2] + state.object) / p, card: facts.card / p,
@@ -314,11 +307,11 @@
     draw();
   }
   function opened(file) {
-    return createImageBitmap(file).then(function (bitmap) { lookAt(bitmap); say("Your photograph stands behind the sheet. It stays in this page."); },
+    return createImageBitmap(file).then(function (bitmap) { lookAt(bitmap); say("Your photograph is behind the sheet. It stays in this page."); },
       function () { say("This file is no picture that the browser reads."); });
   }
   chosen.addEventListener("change", function () { if (chosen.files.length) opened(chosen.files[0]); });
-  card.addEventListener("click", function () { chosen.value = ""; lookAt(null); say("The card stands behind the sheet again."); chosen.focus(); });
+  card.addEventListener("click", function () { chosen.value = ""; lookAt(null); say("The card is behind the sheet again."); chosen.focus(); });
   chosen.disabled = !precise;
   function turned(dx, dy) { set({ azimuth: state.azimuth + 0.2 * dx, elevation: state.elevation + 0.2 * dy }); }
   function zoomed(by) { set({ fov: state.fov / by }); }

@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from math import atan, degrees, hypot
+from math import asin, atan, atan2, degrees, hypot
 from typing import Any
+
+import numpy as np
 
 from clacad.design import Design
 from clacad.design.sections import AimedAt
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH, SEPARATIONS, VIEWING_DISTANCE
 from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.plate import Plate
-from clacad.sheet.vignetting import half_field, thin_cells
+from clacad.sheet.vignetting import aperture_slopes, half_field, thin_cells
 from clacad.sheet.window import Window
 
 LAW, SHEET, VIEW = "Law", "Sheet", "View"
@@ -72,18 +74,27 @@ def sheet_width(window: Window) -> Range:
     return x1 - x0, y1 - y0
 
 
-def places(design: Design, window: Window) -> tuple[float, float]:
-    """Distances (lengths) of the eye and of what it looks at, where the page starts.
+def places(design: Design, window: Window) -> tuple[tuple[float, float, float], float]:
+    """Eye (x, y, z) and distance of what it looks at, lengths, where the page starts.
 
-    Those of [check]; else ten separations, and the distance from which all of the sheet is seen within the
-    field.
+    Those of [check]; else the viewer that the sheet is aimed at, or the distance from which all of the sheet
+    is seen within the field; and ten separations.
     """
-    viewer, distance = design.check.viewer, design.check.object
-    if viewer is None:
+    viewer, distance, aimed = design.check.viewer, design.check.object, aim(design)
+    eye = (0.0, 0.0, 0.0 if viewer is None else -viewer)
+    if viewer is None and aimed is not None and aimed[2] < 0.0:
+        eye = aimed
+    elif viewer is None:
         reach = min(half_field(thin_cells(window)))
         whole = 0.5 * max(sheet_width(window)) / (FILLS * reach)
-        viewer = float(f"{max(VIEWING_DISTANCE / window.unit, whole):.3g}")
-    return viewer, SEPARATIONS * window.thin.separation if distance is None else distance
+        eye = (0.0, 0.0, -float(f"{max(VIEWING_DISTANCE / window.unit, whole):.3g}"))
+    return eye, SEPARATIONS * window.thin.separation if distance is None else distance
+
+
+def aim(design: Design) -> tuple[float, float, float] | None:
+    """Point (x, y, z), lengths, at which the sheet is aimed; None where it is not."""
+    aperture = design.lattice.aperture
+    return aperture.point if isinstance(aperture, AimedAt) else None
 
 
 def sliders(design: Design, window: Window) -> tuple[Slider, ...]:
@@ -133,14 +144,16 @@ def _of_sheet(design: Design, window: Window) -> tuple[Row, ...]:
 def _of_view(design: Design, window: Window) -> tuple[Row, ...]:
     """Sliders of the eye and of what it looks at."""
     unit, off, sides = design.unit, "angle of the eye off the sheet's normal", (-60.0, 60.0)
-    eye, far = places(design, window)
+    (x, y, z), far = places(design, window)
+    eye = float(hypot(x, y, z))
+    beside, above = degrees(atan2(x, -z)), degrees(asin(y / eye))
     fov = float(f"{2.0 * degrees(atan(MARGIN * 0.5 * max(sheet_width(window)) / eye)):.3g}")
     least, behind = min(0.05 * fov, 5.0), (far / 50.0, 50.0 * far)
     return (
         ("object", "object behind", unit, far, behind, True, "from array 2 to what is looked at"),
         ("eye", "eye before", unit, eye, (eye / 20.0, 20.0 * eye), True, "from array 1 to the eye"),
-        ("azimuth", "eye aside", "deg", 0.0, sides, False, f"{off}, to x"),
-        ("elevation", "eye above", "deg", 0.0, sides, False, f"{off}, to y"),
+        ("azimuth", "eye aside", "deg", beside, sides, False, f"{off}, to x"),
+        ("elevation", "eye above", "deg", above, sides, False, f"{off}, to y"),
         (
             "fov",
             "angle of view",
@@ -239,9 +252,9 @@ PRESETS: tuple[tuple[str, Mapping[str, float]], ...] = (
 
 def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str, Any]:
     """All the page's script needs, as plain JSON; in the design's unit, wavelength and `unitM` in metres."""
-    need_equal_cells(window, "the page of sliders", "`clacad verify -o` writes a page that shows it")
-    lattice, aperture = window.lattice, design.lattice.aperture
-    assert not isinstance(aperture, AimedAt)  # a non-uniform sheet
+    lattice, aperture, aimed = window.lattice, design.lattice.aperture, aim(design)
+    if aimed is None or design.law_spec.varying is not None:
+        need_equal_cells(window, "the page of sliders", "--cell I,J shows the uniform sheet of one cell")
     return {
         "kind": lattice.kind,
         "form": window.form,
@@ -254,7 +267,9 @@ def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str
         "given": design.pair.prescription == "given",
         "plate": isinstance(window.outline, Plate),
         "baffle": None if window.baffle is None else window.baffle.wall,
-        "aperture": aperture if isinstance(aperture, str) else list(aperture),
+        "aperture": "aligned" if isinstance(aperture, AimedAt) else aperture,
+        "aim": aimed,
+        "built": _built(window),
         "axes": design.law_spec.euler_axes,
         "field": bool(window.thin.field),
         "index": window.bodies[0].index,
@@ -267,11 +282,56 @@ def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str
     }
 
 
+def _built(window: Window) -> float:
+    """Drift of the cells of array 2 in glass over that of the thin pair, per displacement of cell 1."""
+    thin, built = (
+        place.scale(window.lattice)[0] - 1.0 for place in (window.thin.second, window.placements[1])
+    )
+    return built / thin if thin else 1.0
+
+
 def _outline(design: Design) -> list[Any] | None:
     spec = design.lattice.outline
     if spec is not None and spec.shape == "polygon":
         return ["rectangle", *spec.size]
     return None if spec is None else [spec.shape, *spec.size[: 1 if spec.shape == "circle" else 2]]
+
+
+def chosen_cell(design: Design, cell: tuple[int, int] | None) -> tuple[Design, tuple[str, ...]]:
+    """Design of the uniform sheet of a cell, and a sentence that names the cell and how the others differ.
+
+    Raises BadRequest, DesignError, CellsDiffer.
+    """
+    from clacad.exporting.limits import refuse_no_cell
+    from clacad.prescription.prescribe import design_of_cell, prescribe
+
+    if cell is None:
+        return design, ()
+    window = prescribe(design)
+    refuse_no_cell(window, cell)
+    if window.uniform:
+        return design, ()
+    like = design_of_cell(design, window, cell)
+    return like, (
+        f"cell {cell[0]},{cell[1]} of {design.name}; the others differ by {_differences(window, cell)}",
+    )
+
+
+def _differences(window: Window, cell: tuple[int, int]) -> str:
+    """Largest differences of the other cells from one cell: angles of their light, δ and η."""
+    cells, own, laws = window.lattice.cells(), np.array(cell), window.cell_laws
+    light = aperture_slopes(window, cells) - aperture_slopes(window, own)
+    found = {"{:.3g}° in the direction of their light": degrees(atan(float(np.hypot(*light.T).max())))}
+    if laws is not None:
+        delta = laws.deltas(window.lattice, cells) - laws.deltas(window.lattice, own)
+        eta = laws.ratios_of(window.lattice, cells) - laws.ratios_of(window.lattice, own)
+        found["{:.3g} in δ"] = float(np.hypot(*delta.T).max())
+        found["{:.3g} in η"] = float(np.abs(eta).max())
+    return ", ".join(text.format(most) for text, most in found.items() if most > NO_DIFFERENCE) or "nothing"
+
+
+NO_DIFFERENCE = 1e-12
+"""Of directions (degrees), δ and η: rounding error."""
 
 
 def not_shown(design: Design, window: Window) -> tuple[str, ...]:

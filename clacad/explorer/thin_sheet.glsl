@@ -2,10 +2,10 @@
 
 Lengths are in pitches along x, and a ray is known by the cell it is in and by where it is from that cell's
 middle, so that nothing far from the middle of the sheet is the difference of two large numbers. Directions have
-z = 1. Whoever compiles this defines SAMPLES, and HEX, TILTED, FIELD, BAFFLE, OUTLINE, SEAM, BODY, DEBUG where there are hexagons,
-tilted lenses, rays that look away from the sheet (BEHIND), … : what a sheet does not have costs nothing.
+z = 1. The caller defines SAMPLES, and HEX, TILTED, FIELD, AIMED, BAFFLE, OUTLINE, SEAM, BODY, DEBUG where there are hexagons,
+tilted lenses, rays directed away from the sheet (BEHIND), … : a feature that a sheet does not have costs nothing.
 
-Whether something is so is 0.0 or 1.0, and both answers are worked out and mixed: where there is no graphics card,
+A condition is 0.0 or 1.0; both results are computed and mixed: without a graphics card,
 branches and `bool`s cost twice what the optics does (tests/benchmarks/explorer.md). */
 precision highp float;
 
@@ -18,6 +18,13 @@ uniform mat3 turn;                        // lens to sheet
 uniform vec2 power1, power2;
 uniform vec3 apex2;                       // lens 2's centre: x, y from its own cell's, z over lens 1's
 uniform vec2 wholeSteps, residual;        // displacement of array 2's cells
+#ifdef AIMED
+uniform float drift;                      // pitch of array 2's cells over array 1's, less 1
+uniform vec2 fieldGrow;                   // pitch of the field lens's cells over array 1's
+#else
+const float drift = 0.0;
+const vec2 fieldGrow = vec2(1.0);
+#endif
 uniform vec4 span;                        // low, high of array 1's patches; of array 2's
 uniform float margin, opaque, baffle;     // half a seam; land stops light; half a wall
 uniform vec2 fieldFocus, fieldPower;      // depth and power of the field lens along lens x and y
@@ -45,7 +52,11 @@ vec2 across(vec2 steps) {
 #endif
 }
 
-void relocate(inout vec2 cell, inout vec2 local) {
+/* Cells of a lattice with `grow` times the pitch. */
+void relocate(inout vec2 cell, inout vec2 local, float grow) {
+#ifdef AIMED
+  local /= grow;
+#endif
 #ifdef HEX
   vec2 k, from = local;
   k.y = floor(from.y / pitch.y + 0.5);
@@ -64,6 +75,9 @@ void relocate(inout vec2 cell, inout vec2 local) {
   vec2 k = floor(local / pitch + 0.5);
   cell += k;
   local -= k * pitch;
+#endif
+#ifdef AIMED
+  local *= grow;
 #endif
 }
 
@@ -133,16 +147,17 @@ float nextBorder(vec2 local, vec2 d, out vec2 into) {
 #endif
 
 /* Find the patch, or the gap between two, that a ray passes on its way up from its array's lowest point. */
-Met meet(inout Ray r, vec2 apex, float high, vec2 centre, vec2 shift) {
+Met meet(inout Ray r, vec2 apex, float high, vec2 centre, vec2 shift, float drift) {
   Met m;
+  float grow = 1.0 + drift;
   m.gap = 0.0;
 #ifdef TILTED
   vec3 n = turn[2];
   float climb = dot(r.d, n), room = high - r.z, since = 0.0, at = max(room, 0.0), found = 0.0;
   for (int k = 0; k < 24; k++) {
     vec2 into;
-    float rise = -(dot(r.local - apex, n.xy) + r.z * n.z);
-    float end = nextBorder(r.local, r.d.xy, into);
+    float rise = -(dot(r.local - apex + drift * middle(r.cell), n.xy) + r.z * n.z);
+    float end = nextBorder(r.local / grow, r.d.xy / grow, into);
     if (contains(r.cell) > 0.5) {
       bool slipped = since > 0.0 && since * climb >= rise; // already over this patch where the column begins
       if (slipped || (climb > 0.0 && rise <= end * climb)) {
@@ -154,7 +169,7 @@ Met meet(inout Ray r, vec2 apex, float high, vec2 centre, vec2 shift) {
     }
     if (end >= room) break;
     r.cell += into;
-    r.local -= across(into);
+    r.local -= across(into) * grow;
     since = max(end, since);
   }
   r.local += at * r.d.xy;
@@ -166,11 +181,11 @@ Met meet(inout Ray r, vec2 apex, float high, vec2 centre, vec2 shift) {
 #endif
   m.lens = found * (1.0 - m.gap);
 #ifdef SEAM
-  m.lens *= inZone(r.local, margin);
+  m.lens *= inZone(r.local / grow, margin / grow);
 #endif
   m.land = found * (1.0 - m.lens);
 #ifdef BODY
-  m.land = mix(within(solid, abs(middle(r.cell) + shift + r.local - centre)), m.land, found);
+  m.land = mix(within(solid, abs(middle(r.cell) * grow + shift + r.local - centre)), m.land, found);
 #endif
   return m;
 }
@@ -190,13 +205,16 @@ vec3 bend(Ray r, vec2 apex, vec2 power) {
 #ifdef FIELD
 /* One cylinder of the field lens, along lens axis x or y (lenses that are not tilted). */
 void fieldFace(inout Ray r, bool x) {
-  float depth = (x ? fieldFocus.x : fieldFocus.y) - r.z;
+  float depth = (x ? fieldFocus.x : fieldFocus.y) - r.z, grow = x ? fieldGrow.x : fieldGrow.y;
   r.z += depth;
   r.local += depth * r.d.xy;
   vec2 cell = vec2(0.0), at = r.local - (x ? fieldCentre.xy : fieldCentre.zw);
-  relocate(cell, at);
+#ifdef AIMED
+  at -= (grow - 1.0) * middle(r.cell);
+#endif
+  relocate(cell, at, grow);
   vec2 axis = x ? turn[0].xy : turn[1].xy;
-  float power = (x ? fieldPower.x : fieldPower.y) * contains(r.cell + cell); // beside the sheet there is none
+  float power = (x ? fieldPower.x : fieldPower.y) * contains(r.cell + cell); // none outside the sheet
   r.d.xy -= axis * dot(axis, at) * power;
 }
 #endif
@@ -220,13 +238,13 @@ Passed through(vec3 d) {
 #ifdef HEX
   r.cell = vec2(0.0);
   r.local = met - firstCentre;
-  relocate(r.cell, r.local);
+  relocate(r.cell, r.local, 1.0);
 #else
   vec2 q = met / pitch + 0.5 * count;
   r.cell = floor(q);
   r.local = (q - r.cell - 0.5) * pitch;
 #endif
-  Met one = meet(r, vec2(0.0), span.y, vec2(0.0), vec2(0.0));
+  Met one = meet(r, vec2(0.0), span.y, vec2(0.0), vec2(0.0), 0.0);
   float entered = max(one.lens, one.land), stopped = 0.0;
   vec2 named = mix(vec2(NOWHERE), r.cell, one.kept);
   Ray left = r;
@@ -235,7 +253,7 @@ Passed through(vec3 d) {
   stopped = one.land * (1.0 - one.gap) * opaque;
 #endif
 #ifdef TILTED
-  if (out1.z <= 0.0 || dot(r.d, turn[2]) <= 0.0) { // it goes no farther, whatever is behind
+  if (out1.z <= 0.0 || dot(r.d, turn[2]) <= 0.0) { // it ends here
     Passed p = straight(mix(met, middle(left.cell) + left.local, entered), mix(span.x, left.z, entered), d,
       entered < 0.5 ? MISSED : stopped < 0.5 ? BACKWARD : VIGNETTED);
     p.first = mix(vec2(NOWHERE), named, entered);
@@ -252,16 +270,19 @@ Passed through(vec3 d) {
 #endif
   float gap = apex2.z + span.z - r.z;
   r.local += gap * r.d.xy - residual;
+#ifdef AIMED
+  r.local -= drift * middle(r.cell);
+#endif
   r.cell -= wholeSteps;
-  relocate(r.cell, r.local);
+  relocate(r.cell, r.local, 1.0 + drift);
   r.z = span.z;
-  vec2 shift = across(wholeSteps) + residual;
-  Met two = meet(r, apex2.xy, span.w, solidCentre, shift);
+  vec2 shift = across(wholeSteps) * (1.0 + drift) + residual;
+  Met two = meet(r, apex2.xy, span.w, solidCentre, shift, drift);
   float met2 = max(two.lens, two.land), goes = entered * (1.0 - stopped); // as far as array 2's plane
 #ifdef BAFFLE
   vec2 aside = step(0.5, abs(r.cell - left.cell));
-  float clear = (1.0 - max(aside.x, aside.y)) * inZone(left.local, baffle) * inZone(r.local, baffle) * met2;
-  float none = VIGNETTED; // walls, and nothing beside them
+  float clear = (1.0 - max(aside.x, aside.y)) * inZone(left.local, baffle) * inZone(r.local / (1.0 + drift), baffle / (1.0 + drift)) * met2;
+  float none = VIGNETTED; // walls, and nothing next to them
 #else
   float clear = met2, none = MISSED;
 #endif
@@ -272,7 +293,7 @@ Passed through(vec3 d) {
   fate = mix(fate, VIGNETTED, dark);
   left2 -= dark;
 #endif
-  vec3 out2 = bend(r, apex2.xy, power2);
+  vec3 out2 = bend(r, apex2.xy - drift * middle(r.cell), power2);
 #ifdef TILTED
   out2 = mix(r.d, out2, two.lens);
   float falls = max(step(out2.z, 0.0), step(dot(r.d, turn[2]), 0.0)) * left2;
@@ -288,7 +309,7 @@ Passed through(vec3 d) {
   p.first = mix(vec2(NOWHERE), named, entered);
   p.last = mix(vec2(NOWHERE), last, whole);
   p.fate = mix(mix(MISSED, mix(VIGNETTED, mix(none, fate, clear), goes), entered), fate, whole);
-  p.at = mix(mix(met, middle(left.cell) + left.local, entered), middle(r.cell) + shift + r.local, goes);
+  p.at = mix(mix(met, middle(left.cell) + left.local, entered), middle(r.cell) * (1.0 + drift) + shift + r.local, goes);
   p.z = mix(mix(span.x, left.z, entered), apex2.z + r.z, goes);
   p.d = mix(mix(d, r.d, goes), out2, whole * left2);
   return p;
@@ -320,14 +341,14 @@ vec3 wall(vec2 q) {
   vec3 grey = mix(vec3(0.50, 0.55, 0.60), vec3(0.74, 0.78, 0.82), 1.0 - even);
   grey = mix(vec3(0.62, 0.66, 0.70), grey, 1.0 / (1.0 + 0.08 * far));
 #ifdef PHOTO
-  vec2 at = vec2(-q.x, q.y) / photoHalf; // x of the sheet is to the left of whoever looks towards +z
+  vec2 at = vec2(-q.x, q.y) / photoHalf; // x of the sheet is to the left of a viewer who looks towards +z
   vec3 shown = texture2D(photo, 0.5 + 0.5 * at).rgb;
   return mix(shown, grey, step(1.0, max(abs(at.x), abs(at.y))));
 #else
   vec2 s = step(0.0, q);
   vec3 c = mix(mix(vec3(0.93, 0.76, 0.30), vec3(0.36, 0.60, 0.80), s.y), mix(vec3(0.42, 0.70, 0.52), vec3(0.85, 0.45, 0.38), s.y), s.x);
   c = mix(c, vec3(1.0), 0.35 * even);
-  vec2 f = vec2(-q.x, q.y); // x of the sheet is to the left of whoever looks towards +z
+  vec2 f = vec2(-q.x, q.y); // x of the sheet is to the left of a viewer who looks towards +z
   vec3 box = vec3(0.11, 0.40, 0.31) - abs(f.xxx - vec3(-0.27, 0.02, -0.07)); // stem, top and bar
   vec3 high = vec3(0.62, 0.10, 0.10) - abs(f.yyy - vec3(0.0, 0.52, 0.08));
   vec3 ink = step(0.0, box) * step(0.0, high);

@@ -6,7 +6,8 @@ The closed forms of the sheet give those numbers.
 from __future__ import annotations
 
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from math import hypot
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,16 @@ import numpy as np
 from clacad.base.types import Pair2
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH, viewing
 from clacad.sheet.lattice import inside_outline
-from clacad.sheet.vignetting import aperture_slope, focal_ratio, ghost_onset, half_field, share, thin_cells
+from clacad.sheet.vignetting import (
+    aperture_slope,
+    focal_ratio,
+    ghost_onset,
+    half_field,
+    partner_share,
+    partner_zone,
+    share,
+    thin_cells,
+)
 from clacad.sheet.window import Window
 from clacad.storage.errors import BadRequest, ExportRefused
 
@@ -50,24 +60,25 @@ class FirstVerdict:
         return asdict(self)
 
 
-def first_verdict(window: Window, eye: float, distance: float) -> FirstVerdict:
-    """Judge a window as the page does.
+def first_verdict(window: Window, eye: tuple[float, float, float], distance: float) -> FirstVerdict:
+    """Judge a window as the page does: an aimed sheet by its middle cell, and over the sheet from the eye.
 
-    eye, distance : lengths. From the sheet to the eye on its axis, and to what it looks at.
+    eye, distance : lengths. The eye (x, y, z), and the distance from the sheet to what it looks at.
     """
     cells = thin_cells(window)
+    cells = replace(cells, zone=partner_zone(cells))
     middle = np.array([[*aperture_slope(window), 1.0]])
     sharp = viewing(
         focal_ratio(window.thin),
         (np.inf, np.inf),
-        eye * window.unit,
+        hypot(*eye) * window.unit,
         distance * window.unit,
         window.wavelength or DEFAULT_WAVELENGTH,
     )
     x, y = (pitch / window.unit for pitch in sharp.sharpest)
     return FirstVerdict(
         share=float(share(cells, middle)[0]),
-        share_from_eye=share_from_eye(window, (0.0, 0.0, -eye)),
+        share_from_eye=share_from_eye(window, eye),
         half_field=half_field(cells),
         ghost_onset=ghost_onset(cells),
         sharpest_pitch=(x, y),
@@ -86,7 +97,7 @@ def share_from_eye(window: Window, eye: tuple[float, float, float]) -> float:
     if len(points) == 0:
         return 0.0
     directions = np.column_stack([points, np.zeros(len(points))]) - np.array(eye)
-    return float(share(thin_cells(window), directions).mean())
+    return float(partner_share(window, window.locate(0, *points.T)[0], directions).mean())
 
 
 HERE = Path(__file__).parent
@@ -132,7 +143,12 @@ class Explored:
 
 
 def explore(
-    design: Design, out: str | os.PathLike[str], overwrite: bool = False, *, dry_run: bool = False
+    design: Design,
+    out: str | os.PathLike[str],
+    overwrite: bool = False,
+    *,
+    cell: tuple[int, int] | None = None,
+    dry_run: bool = False,
 ) -> Explored:
     """Write one web page with sliders for the numbers of a design: the view through the sheet follows
     them live.
@@ -146,6 +162,8 @@ def explore(
         Ends in .html; its folder is made if missing. The file appears whole or not at all.
     overwrite, dry_run : bool
         Replace a file that is there; make the page and report its size, but write nothing.
+    cell : (i, j), optional
+        Show the uniform sheet of this cell of a non-uniform sheet. Not needed for a sheet that is only aimed.
 
     Returns
     -------
@@ -157,6 +175,8 @@ def explore(
         `out` is no page, or cannot be written.
     LimitRefused, NoSuchLens, DesignError
         The design has too many lenslets, or cannot be built.
+    CellsDiffer
+        CL139: The law of the cells varies, or array 2 has a pitch of its own, and no cell is given.
 
     Examples
     --------
@@ -166,7 +186,7 @@ def explore(
     >>> made.bytes < 1_000_000
     True
     """
-    from clacad.explorer.page_facts import not_shown, places
+    from clacad.explorer.page_facts import chosen_cell, not_shown, places
     from clacad.exporting.limits import refuse_uncountable
     from clacad.prescription.prescribe import prescribe
     from clacad.storage.atomic import write_content
@@ -175,32 +195,36 @@ def explore(
     if file.suffix.lower() not in (".html", ".htm"):
         raise BadRequest(f"{file}: the page is one file that ends in .html")
     refuse_uncountable(design)
-    window, text = prescribe(design), page(design)
+    design, others = chosen_cell(design, cell)
+    window, text = prescribe(design), page(design, others)
     if dry_run and file.exists() and not overwrite:
         raise ExportRefused(f"{file} exists; choose another name, or ask to overwrite")
     if not dry_run:
         write_content(file, text, overwrite=overwrite)
-    verdict, missing = first_verdict(window, *places(design, window)), not_shown(design, window)
+    verdict = first_verdict(window, *places(design, window))
+    missing = (*others, *not_shown(design, window))
     return Explored(file, len(text.encode()), not dry_run, verdict, missing)
 
 
-def page(design: Design) -> str:
+def page(design: Design, others: tuple[str, ...] = ()) -> str:
     """The page as one HTML text that needs no network; every text of the design is escaped in it.
 
+    others : Which cell of a non-uniform sheet it shows, and how the others differ.
     Raises NoSuchLens, DesignError.
     """
     import json
 
     from markupsafe import Markup
 
-    from clacad.explorer.page_facts import LAW, PRESETS, SHEET, VIEW, facts, not_shown, sliders
+    from clacad.explorer.page_facts import LAW, PRESETS, SHEET, VIEW, aim, facts, not_shown, sliders
     from clacad.prescription.prescribe import prescribe
     from clacad.report.self_contained import environment, one_script
 
     window = prescribe(design)
     moved = sliders(design, window)
     script, digest = one_script(HERE / "closed_forms.js", HERE / "explorer.js")
-    count = " × ".join(map(str, window.lattice.count))
+    count, aimed = " × ".join(map(str, window.lattice.count)), aim(design)
+    towards = "" if aimed is None else ", aimed at ({:g}, {:g}, {:g}) ".format(*aimed) + design.unit
     return (
         environment(HERE)
         .get_template("page.html.j2")
@@ -208,10 +232,12 @@ def page(design: Design) -> str:
             name=design.name,
             about=(
                 f"confocal lenslet array pair, {window.form}, {window.lattice.kind} lattice of {count} cells"
+                f"{towards}"
             ),
             facts=json.dumps(facts(design, window, moved), sort_keys=True, allow_nan=False),
             groups=[(name, [one for one in moved if one.group == name]) for name in (LAW, SHEET, VIEW)],
             presets=[name for name, _ in PRESETS],
+            others=others,
             not_shown=not_shown(design, window),
             fine=FINE,
             digest=digest,

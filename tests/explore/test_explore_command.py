@@ -87,3 +87,22 @@ def test_what_cannot_be_is_refused_in_one_sentence_and_nothing_is_written(
     assert says in told.err
     assert told.out == ""
     assert list(tmp_path.iterdir()) == []
+
+
+SLAB = str(DESIGN.with_name("slab.toml"))
+VARYING = ["--set", "lattice.count=[9,7]", "--set", "law.varying={gradient=[[0.001,0],[0,0.001]]}"]
+
+
+def test_the_page_of_a_cell_names_it_and_how_the_others_differ(tmp_path, capsys):
+    page = tmp_path / "page.html"
+    assert main(["explore", SLAB, *VARYING, "-o", str(page)]) == 2
+    assert "--cell I,J shows the uniform sheet of one cell" in capsys.readouterr().err
+    assert main(["explore", SLAB, *VARYING, "-o", str(page), "--cell", "9,0"]) == 2
+    capsys.readouterr()
+    assert main(["explore", SLAB, *VARYING, "-o", str(page), "--cell", "0,3", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    # by hand: delta of the last cell of the row, 8 pitches of 0.5 mm away, differs by 8 × 0.5 × 0.001
+    first = "cell 0,3 of slab; the others differ by "
+    assert told["not_shown"][0].startswith(first)
+    assert f"{sqrt(0.004**2 + 0.0015**2):.3g} in δ" in told["not_shown"][0]
+    assert first in page.read_text()

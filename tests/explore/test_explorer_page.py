@@ -79,7 +79,7 @@ def test_verdict_is_what_the_closed_forms_give_of_the_design_handed_out(chromium
     sharpest = [np.inf if p is None else p for p in told["sharpest_pitch"]]
     assert sharpest == pytest.approx([p / unit for p in facts.viewing.sharpest], rel=1e-12)
     assert told["advised_pitch"] == pytest.approx(facts.viewing.advised / unit, rel=1e-12)
-    assert told["share"] == pytest.approx(first_verdict(window, 1.0, 1.0).share, rel=1e-10)
+    assert told["share"] == pytest.approx(first_verdict(window, (0.0, 0.0, -1.0), 1.0).share, rel=1e-10)
 
 
 @pytest.mark.slow
@@ -406,3 +406,43 @@ def test_without_webgl_it_says_so_and_the_rest_works(tmp_path):
         assert [c for c in plain.complaints() if "exception" in c.lower()] == []
     finally:
         plain.close()
+
+
+# -- non-uniform sheets ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("field", everyday(False, others=(True,)))
+def test_an_aimed_sheet_is_seen_evenly_from_where_it_is_aimed(chromium, tmp_path, field):
+    """Light of the point that a sheet is aimed at meets each partner as light along the middle of the field does."""
+    made = shipped("slab").replace(
+        {"lattice.count": [60, 60], "lattice.aperture": {"point": [5.0, -3.0, -900.0]}}
+    )
+    page = Page(chromium, tmp_path, made)
+    assert page.design().sha256 == made.sha256
+    assert chromium.run("explorer.camera(8, 8).eye") == pytest.approx([5.0, -3.0, -900.0])
+    page.set(field=int(field))
+    told, design = page.verdict(), page.design()
+    window = clacad.prescribe(design)
+    python = first_verdict(window, *places(design, window)).to_dict()
+    for name, value in python.items():
+        assert told[name] == pytest.approx(value, rel=1e-10, abs=1e-13), name
+    assert told["share_from_eye"] == pytest.approx(told["share"], rel=0.02)
+    page.set(field=int(field), azimuth=4.0)
+    assert page.verdict()["share_from_eye"] < 0.3 * told["share_from_eye"]
+    aligned = Page(chromium, tmp_path, made.replace("lattice.aperture", "aligned"))
+    aligned.set(field=int(field), eye=900.0)
+    assert field or aligned.verdict()["share_from_eye"] < 0.9 * told["share_from_eye"]
+
+
+def test_a_point_too_near_to_aim_at_is_said_before_a_design_is_copied(chromium, tmp_path):
+    made = shipped("slab").replace(
+        {"lattice.count": [20, 20], "lattice.aperture": {"point": [0.0, 0.0, -200.0]}}
+    )
+    page = Page(chromium, tmp_path, made)
+    page.set(separation=21.0)
+    assert chromium.run("document.querySelector('[name=copy-toml]').disabled")
+    assert "nearer than 10 separations" in chromium.run(
+        "document.querySelector('[data-verdict]').textContent"
+    )
+    with pytest.raises(clacad.DesignError, match="CL122"):
+        clacad.prescribe(page.design())

@@ -21,7 +21,8 @@ def shipped(name, **changes):
 
 
 ROUND = {"lattice.outline": {"circle": 8.0}, "lattice.seam": 0.03, "body.border": 0.4}
-EVERYDAY = ("paper, turned, offset and from aside", "tilted", "round, with border and seams")
+AIMED = {"lattice.aperture": {"point": [0.0, 0.0, -600.0]}}
+EVERYDAY = ("paper, turned, offset and from aside", "tilted", "aimed, round, with border and seams")
 """Cases that always run."""
 
 CASES = {
@@ -41,6 +42,20 @@ CASES = {
     "field lens": (shipped("window-100mm"), {"field": 1, "delta_x": 0.01, "azimuth": 3.0, "elevation": 1.3}),
     "field lens of hexagons": (shipped("hexagonal", **{"law.eta": [-0.5, -0.5]}), {"field": 1, "phi": 10.0, "azimuth": 4.0, "fov": 1.0}),
     "field lens of crossed cylinders": (shipped("paper-a-covered"), {"field": 1, "azimuth": 6.0, "elevation": -7.0}),
+    "aimed": (shipped("window-100mm", **AIMED), {}),
+    "aimed at an eye aside, moved": (shipped("window-100mm", **{"lattice.aperture": {"point": [60.0, -30.0, -1500.0]}}), {
+        "delta_x": 0.01, "pitch": 0.4, "separation": 12.0, "azimuth": 1.5}),
+    "aimed hexagons": (shipped("hexagonal", **{"lattice.aperture": {"point": [5.0, 2.0, -400.0]}}), {"phi": 10.0, "fov": 1.5}),
+    "aimed, tilted, with seams": (shipped("tilted-seam", **{"lattice.aperture": {"point": [1.0, 0.0, -200.0]}}), {"azimuth": 3.0}),
+    "aimed, round, with border and seams": (shipped("slab", **ROUND, **{"lattice.aperture": {"point": [5.0, 0.0, -600.0]}}), {"fov": 1.9}),
+    "aimed, with opaque land": (shipped("slab", **ROUND, **{"lattice.land": "opaque", "lattice.aperture": {"point": [0.0, 0.0, -300.0]}}), {
+        "azimuth": 0.7, "fov": 1.9}),
+    "aimed slab with border": (shipped("slab", **{"body.border": 0.4, "lattice.aperture": {"point": [5.0, 0.0, -600.0]}}), {"fov": 2.5}),
+    "aimed at an object": (shipped("window-100mm", **{"lattice.aperture": {"point": [0.0, 0.0, 500.0]}}), {"azimuth": 1.0}),
+    "aimed, with baffle": (shipped("baffled", **{"lattice.aperture": {"point": [0.0, 0.0, -300.0]}}), {"fov": 1.37}),
+    "aimed, with field lens": (shipped("window-100mm", **AIMED), {"field": 1, "delta_x": 0.01, "azimuth": 3.0, "elevation": 1.3}),
+    "aimed, with field lens of crossed cylinders": (shipped("paper-a-covered", **{"lattice.aperture": {"point": [0.5, 0.0, -30.0]}}), {
+        "field": 1, "elevation": -2.0}),
     "field lens, turned": (shipped("paper-a-covered"), {"field": 1, "eta_x": -0.6, "eta_y": -0.6, "phi": 25.0, "azimuth": 6.0}),
 }  # fmt: skip
 
@@ -50,7 +65,7 @@ def named(cells):
     return np.where((cells == NO_CELL).any(axis=1)[:, None], NOWHERE, cells)
 
 
-@pytest.mark.daily_cases("round, with border and seams")
+@pytest.mark.daily_cases("aimed, round, with border and seams")
 @pytest.mark.parametrize("name", [
     name if name in EVERYDAY else pytest.param(name, marks=pytest.mark.slow) for name in CASES])  # fmt: skip
 def test_a_thousand_pixels_agree_with_rung_thin_in_slope_cell_and_fate(chromium, tmp_path, name):
