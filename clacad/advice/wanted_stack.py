@@ -1,35 +1,34 @@
 """Sheets for a wanted chief-ray matrix: two, or three of which two η are free, with their light and limits.
 
 All sheets are untilted, have η_x = η_y, and focus: (x, t) ↦ (x + s t, k x + t/η), f_image = −1/k. Two sheets
-have four numbers for the four of the matrix. Three have two more, η of the first and of the second; the share
-of the light, averaged over the field and the closed form for thin lenses, chooses them. Each sheet must be
-one that can be built: see `Limits`.
+have four numbers for the four of the matrix. Three have two more, η of the first and of the second, which
+`shortlist` ranks by the share of the light, averaged over the field, in the closed form for thin lenses. Each
+sheet must be one that can be built: see `_Family.kept`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from math import atan, ceil, inf, isfinite, tan
-from string import ascii_lowercase
+from dataclasses import asdict, dataclass, replace
+from math import atan, inf, tan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.text import percent_text
 from clacad.base.types import Bools, Floats, Pair2
-from clacad.design.sections import LATTICE, LAW, PAIR
 from clacad.prescription.aimed_cells import NEAREST, STEEPEST
-from clacad.sheet.stack import Stack, stacked
 
 if TYPE_CHECKING:
-    from clacad.design import Design
+    pass
 
 NEAR_ONE = 0.04
 """Least distance of η from 1, where a pair has no power."""
 
 SMALLEST, LARGEST = 0.2, 5.0
 """Range of |η| that is searched."""
+
+APART = 0.25
+"""Least logarithm of the ratio of η of two members of a shortlist, of one sign."""
 
 FIELDS = 33
 """Number of slopes over which shares are averaged."""
@@ -47,6 +46,8 @@ class Wanted:
     field : radians. Slopes of the light, either way.
     bend : Radius of a lens face over the focal length of its lens: n − 1, biconvex 2 (n − 1).
     ring : Least width of the ring that no light crosses, from the waist of the light to `radius`.
+    field_lens : Whether the first sheets have field lenses where η < 0; the last of three has none.
+    etas : η of the first two of three sheets, where they are not searched.
     """
 
     name: str
@@ -58,11 +59,21 @@ class Wanted:
     field: float
     bend: float
     ring: float = 0.0
+    field_lens: bool = False
+    etas: Pair2 | None = None
 
     @property
     def length(self) -> float:
         """Length from the first array to the last."""
         return 3.0 * self.separation + sum(self.gaps)
+
+    def has_field(self, eta: Floats) -> Bools:
+        """Whether sheets of η (n,) have field lenses: not where the common focus is virtual."""
+        return np.asarray((np.asarray(eta) < 0.0) & self.field_lens)
+
+    def thickness(self, eta: Floats) -> Floats:
+        """Length (n,) that light crosses obliquely in sheets of η; 0 where lens 1 is imaged onto lens 2."""
+        return np.where(self.has_field(eta), 0.0, self.separation)
 
 
 @dataclass(frozen=True)
@@ -74,6 +85,7 @@ class WantedSheet:
     reach : length. Half the width of its light.
     height : Distance from the vertex of lens 2 to the border of its outermost cell, over the radius there.
     share : Of the light that arrives, along one axis.
+    field_lens : Whether it has field lenses, which image lens 1 onto lens 2.
     """
 
     eta: float
@@ -82,6 +94,7 @@ class WantedSheet:
     reach: float
     height: float
     share: float
+    field_lens: bool = False
 
 
 @dataclass(frozen=True)
@@ -95,6 +108,7 @@ class Solved:
     field : radians. Angle beyond which no light passes some sheet.
     waist : length. Least half width of the light between sheets; `ring` is what it leaves of the radius.
     binding : The limit that this stack does not keep; empty where it can be built.
+    by_rays : Share of the light by rays through thin lenses; None where none were traced.
     """
 
     sheets: tuple[WantedSheet, ...]
@@ -105,6 +119,7 @@ class Solved:
     waist: float
     ring: float
     binding: str = ""
+    by_rays: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""
@@ -132,21 +147,27 @@ class _Family:
 
     @staticmethod
     def of_two(wanted: Wanted) -> _Family:
-        """The one stack of two sheets, as long as three would be."""
+        """The one stack of two sheets, as long as three would be; both have field lenses, or none."""
         s, (a, b) = wanted.separation, wanted.matrix[0]
         gap = wanted.length - 2.0 * s
-        inverse = (b - s) / (gap + s)
-        return _Family._last(wanted, (gap,), [1.0 / inverse if inverse else inf], [(a - 1.0) / (gap + s)])
+        k = (a - 1.0) / (gap + s)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            plain = np.float64(gap + s) / (b - s)
+            lensed = gap * a / np.float64(b * (1.0 + gap * k))
+        own = wanted.field_lens and lensed < 0.0
+        return _Family._last(wanted, (gap,), [lensed if own else plain], [k])
 
     @staticmethod
     def of_three(wanted: Wanted, eta_1: Floats, eta_2: Floats) -> _Family:
         """Stacks of three sheets, one for each pair (n,) of η of the first and the second."""
-        s, (a, b), (gap, after) = wanted.separation, wanted.matrix[0], wanted.gaps
+        (a, b), (gap, after) = wanted.matrix[0], wanted.gaps
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            ahead = after + s  # (1, ahead) is the first row of what follows the second sheet
-            slope = s + ahead / eta_2
-            place = (b - slope / eta_1) / (s + gap / eta_1)
-            k_2, k_1 = (place - 1.0) / ahead, (a - place) / (place * gap + slope)
+            ahead = after + wanted.separation  # (1, ahead) is the first row of what follows the second sheet
+            slope = wanted.thickness(eta_2) + ahead / eta_2
+            place = (b - slope / eta_1) / (wanted.thickness(eta_1) + gap / eta_1)
+            k_1 = (a - place) / (place * gap + slope)
+            scale = np.where(wanted.has_field(eta_2), 1.0 + wanted.separation * k_1 / (1.0 + gap * k_1), 1.0)
+            k_2 = (place - scale) / ahead
         return _Family._last(wanted, wanted.gaps, [eta_1, eta_2], [k_1, k_2])
 
     @staticmethod
@@ -156,7 +177,7 @@ class _Family:
         before = [np.broadcast_to(np.eye(2), (etas.shape[1], 2, 2))]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for one, power, gap in zip(etas, ks, gaps, strict=True):
-                before.append(_space(gap) @ _sheet(wanted.separation, one, power) @ before[-1])
+                before.append(_space(gap) @ _through(wanted, one, power, before[-1]))
             (a, b), (c, d) = np.moveaxis(before[-1], 0, -1)
             rows = wanted.matrix[1]
             area = a * d - b * c
@@ -164,6 +185,10 @@ class _Family:
             return _Family(
                 wanted, gaps, np.vstack([etas, 1.0 / last[1]]), np.vstack([ks, last[0]]), np.array(before)
             )
+
+    def has_field(self, number: int) -> Bools:
+        """Members (n,) whose sheet has field lenses: the last of three has none."""
+        return self.wanted.has_field(self.eta[number]) & (number < 2)
 
     def part(self, number: int) -> tuple[Floats, Floats, Floats, Floats]:
         """A, B, C, D (n,) of what lies before a sheet."""
@@ -204,7 +229,7 @@ class _Family:
         """Share (slopes, n) that a sheet passes along one axis, over slopes from 0 to the field."""
         slopes = tan(self.wanted.field) * np.linspace(0.0, 1.0, FIELDS)[:, None]
         c = self.wanted.separation / self.wanted.pitch * slopes * self.stretch(number)
-        return passed(c, self.eta[number])
+        return passed(c, self.eta[number], self.has_field(number))
 
     def share(self) -> Floats:
         """Share (n,) of the light within the field that passes all sheets, both axes."""
@@ -214,7 +239,7 @@ class _Family:
         """Least half width (n,) of the light between sheets, with half a pitch for the pencils of cells."""
         found, wanted = np.full(self.eta.shape[1], inf), self.wanted
         for number, gap in enumerate(self.gaps):
-            after = _sheet(wanted.separation, self.eta[number], self.k[number]) @ self.before[number]
+            after = _through(wanted, self.eta[number], self.k[number], self.before[number])
             (a, b), (c, d) = np.moveaxis(after, 0, -1)
             with np.errstate(divide="ignore", invalid="ignore"):
                 for at in (np.zeros_like(a), np.full_like(a, gap), -a / c, -b / d):  # convex: least at a kink
@@ -246,6 +271,7 @@ class _Family:
                 float(self.reach(j)[n]),
                 float(self.height(j)[n]),
                 float(_mean(self.shares(j)[:, n])),
+                bool(self.has_field(j)[n]),
             )
             for j in many
         )
@@ -257,7 +283,7 @@ class _Family:
         solved = Solved(
             sheets, self.gaps, float(self.share()[n]), loss, atan(reach), waist, self.wanted.radius - waist
         )
-        return Solved(**{**vars(solved), "binding": _binding(self.wanted, solved)})
+        return replace(solved, binding=_binding(self.wanted, solved))
 
 
 def _binding(wanted: Wanted, solved: Solved) -> str:
@@ -280,14 +306,16 @@ def _binding(wanted: Wanted, solved: Solved) -> str:
     return ""
 
 
-def passed(c: Floats, eta: Floats) -> Floats:
+def passed(c: Floats, eta: Floats, field_lens: Bools | bool = False) -> Floats:
     """Share along one axis that a thin pair passes, for light c pitches off its partner: physics of cells.
 
     c : (s/p) (t − a), with a the slope at which a cell looks. eta : of the pair; arrays that broadcast.
+    field_lens : Whether the pair has a field lens, which passes all that meets it.
     """
     half = 0.5 * np.abs(eta)
     inside = np.minimum(0.5, c + half) - np.maximum(-0.5, c - half)
-    return np.asarray(np.maximum(0.0, inside) / (2.0 * half))
+    imaged = np.where(np.abs(c) < 0.5 + half, np.minimum(1.0, 2.0 * half), 0.0)
+    return np.asarray(np.where(field_lens, imaged, np.maximum(0.0, inside)) / (2.0 * half))
 
 
 def stack_of_three(wanted: Wanted, eta_1: float, eta_2: float) -> Solved:
@@ -308,22 +336,21 @@ def solve_two(wanted: Wanted) -> Solved:
 
 
 def solve_three(wanted: Wanted) -> Solved:
-    """The stack of three sheets that passes most light, over η of the first two.
+    """The stack of three sheets that passes most light by the closed form, over η of the first two.
 
     Raises NoSuchStack: No member of the family can be built; the message gives the largest first
     sheet that can be, and the limit that binds.
     """
-    best = _best(wanted)
-    if best is not None:
-        return best
+    best = shortlist(wanted, 1)
+    if best:
+        return best[0]
     low, high = 0.0, wanted.radius
     for _ in range(12):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if _best(_smaller(wanted, middle)) is not None else (low, middle)
+        low, high = (middle, high) if shortlist(_smaller(wanted, middle), 1) else (low, middle)
     if low == 0.0:
         raise NoSuchStack("three sheets: no eta of the first two gives sheets that can be built")
-    nearest = _best(_smaller(wanted, low))
-    assert nearest is not None
+    nearest = shortlist(_smaller(wanted, low), 1)[0]
     over = [one.height for one in nearest.sheets]
     raise NoSuchStack(
         f"three sheets: the first could be {2.0 * low:.4g} wide at most, not {2.0 * wanted.radius:.4g}: "
@@ -334,29 +361,48 @@ def solve_three(wanted: Wanted) -> Solved:
 
 def _smaller(wanted: Wanted, radius: float) -> Wanted:
     """The same matrix with less light, and a ring in proportion."""
-    return Wanted(**{**vars(wanted), "radius": radius, "ring": wanted.ring * radius / wanted.radius})
+    return replace(wanted, radius=radius, ring=wanted.ring * radius / wanted.radius)
 
 
-def _best(wanted: Wanted) -> Solved | None:
-    """Search of η of the first two sheets: a grid, then finer ones about its best; four decimals."""
+def shortlist(wanted: Wanted, count: int) -> list[Solved]:
+    """The best stacks of three sheets by the closed form, best first: different members of the family.
+
+    A grid over η of the first two sheets; about each of its best members finer ones, to four decimals.
+    """
     size = np.geomspace(SMALLEST, LARGEST, 44)
-    first = second = np.concatenate([-size[::-1], size])
-    step, found = float(np.log(size[1] / size[0])), None
-    for _ in range(4):
-        one, other = (
-            np.asarray(np.round(grid, 4).ravel(), np.float64)
-            for grid in np.meshgrid(first, second, indexing="ij")
-        )
-        with np.errstate(invalid="ignore"):
-            family = _Family.of_three(wanted, one, other)
-            share = np.where(family.kept(), family.share(), -1.0)
-        n = int(np.argmax(share))
-        if share[n] < 0.0:
+    both = np.concatenate([-size[::-1], size])
+    step = float(np.log(size[1] / size[0]))
+    one, other, share = _shares(wanted, both, both)
+    found: list[tuple[float, float]] = []
+    for n in np.argsort(-share):
+        if share[n] < 0.0 or len(found) == count:
             break
-        found = family.member(n)
+        ratios = [(a / one[n], b / other[n]) for a, b in found]
+        if all(min(r) < 0.0 or np.abs(np.log(r)).max() > APART for r in ratios):
+            found.append((float(one[n]), float(other[n])))
+    return sorted((about(wanted, *each, step) for each in found), key=lambda one: -one.share)
+
+
+def about(wanted: Wanted, eta_1: float, eta_2: float, step: float = 0.02) -> Solved:
+    """The best stack of three sheets with η within factors e^±step of these; these if none can be built."""
+    for _ in range(3):
         near = np.exp(step * np.linspace(-1.0, 1.0, 21))
-        first, second, step = one[n] * near, other[n] * near, step / 8.0
-    return found
+        one, other, share = _shares(wanted, eta_1 * near, eta_2 * near)
+        n, step = int(np.argmax(share)), step / 8.0
+        if share[n] >= 0.0:
+            eta_1, eta_2 = float(one[n]), float(other[n])
+    return stack_of_three(wanted, eta_1, eta_2)
+
+
+def _shares(wanted: Wanted, first: Floats, second: Floats) -> tuple[Floats, Floats, Floats]:
+    """Grid (n,) of η of the first two sheets to four decimals, with the share; −1 if it cannot be built."""
+    one, other = (
+        np.asarray(np.round(grid, 4).ravel(), np.float64)
+        for grid in np.meshgrid(first, second, indexing="ij")
+    )
+    with np.errstate(invalid="ignore"):
+        family = _Family.of_three(wanted, one, other)
+        return one, other, np.where(family.kept(), family.share(), -1.0)
 
 
 def _mean(values: Floats) -> Floats:
@@ -368,76 +414,13 @@ def _space(length: float) -> Floats:
     return np.array([[1.0, length], [0.0, 1.0]])
 
 
-def _sheet(separation: float, eta: Floats, k: Floats) -> Floats:
-    """Matrices (n, 2, 2) of sheets."""
-    one = np.ones_like(eta)
-    return np.moveaxis(np.array([[one, separation * one], [k, 1.0 / eta]]), -1, 0)
+def _through(wanted: Wanted, eta: Floats, k: Floats, before: Floats) -> Floats:
+    """Matrices (n, 2, 2) of sheets and of what lies before them.
 
-
-KINDS = ("cloak", "space", "relay", "image")
-"""What can be wanted: space of the stack's own length, of another one, a relay, an image of a plane."""
-
-
-def wanted_matrix(kind: str, value: float, length: float, planes: Pair2 = (0.0, 0.0)) -> tuple[Pair2, Pair2]:
-    """Matrix ((A, B), (C, D)) of what is wanted.
-
-    kind : One of `KINDS`. value : Length of the space; magnification of a relay or an image.
-    length : Of the stack, which a cloak acts as.
-    planes : lengths. Distance of the imaged plane before the stack, and of its image behind.
+    Field lenses send all light of a cell to the middle of its partner; partners of aimed cells lie
+    1 + s C/A as far from the axis, by A and C of what lies before.
     """
-    if kind in ("cloak", "space"):
-        return (1.0, length if kind == "cloak" else value), (0.0, 1.0)
-    before, behind = planes  # parallel light stays parallel: diag(m, 1/m) from plane to plane
-    return (value, -value * before - behind / value), (0.0, 1.0 / value)
-
-
-def sheet_keys(wanted: Wanted, one: WantedSheet) -> dict[str, Any]:
-    """Keys of a design that make it one of the solved sheets."""
-    cells = 2 * ceil(one.reach / wanted.pitch)
-    keys: dict[str, Any] = {LAW.eta: [one.eta, one.eta], LATTICE.count: [cells, cells]}
-    if isfinite(one.f_image):
-        keys[f"{LAW.varying}.f_image"] = one.f_image
-    if isfinite(one.viewer):
-        keys[LATTICE.aperture] = {"point": [0.0, 0.0, one.viewer]}
-    return keys
-
-
-def placed(designs: Sequence[Design], gaps: Sequence[float]) -> Stack:
-    """Stack of the designs with these lengths from array 2 of a sheet to array 1 of the next.
-
-    Lens planes depend on the thickness, and not on where the vertices of lens 2 are: those are not traced.
-    Raises NoSuchStack: The material of neighbours would overlap.
-    """
-    from clacad.prescription.prescribe import prescribe
-
-    windows = [prescribe(one.replace(PAIR.offset, "paraxial")) for one in designs]
-    sheets = stacked(windows, [0.0] * len(gaps)).sheets
-    clear = [gap - (b.lens_planes[0] - a.lens_planes[1]) for a, b, gap in zip(sheets, sheets[1:], gaps)]
-    if min(clear) < 0.0:
-        raise NoSuchStack(f"the sheets would overlap by {-min(clear):.4g}: their lens planes lie too close")
-    return stacked(windows, clear)
-
-
-def rows_of(count: int, solved: Solved | NoSuchStack, unit: str) -> list[tuple[str, str]]:
-    """What a number of sheets can do, one row for each sheet, or why they cannot."""
-    if isinstance(solved, NoSuchStack):
-        return [(f"{count} sheets", f"not possible: {solved}")]
-    least = percent_text(1.0 / solved.loss**2)
-    rows = [
-        (
-            f"{count} sheets",
-            f"{percent_text(solved.share)} of the light; |eta| alone leaves {least}; the light is"
-            f" {solved.waist:.4g} {unit} from the axis at its waist",
-        )
-    ]
-    for name, one in zip(ascii_lowercase, solved.sheets):
-        aim = f"aimed at z = {one.viewer:.6g}" if isfinite(one.viewer) else "aligned cells"
-        words = (
-            f"eta {one.eta:.6g}",
-            f"f_image {one.f_image:.6g} {unit}, {aim}",
-            f"{2.0 * one.reach:.4g} {unit} wide",
-            f"{percent_text(one.share)} an axis",
-            f"lens 2 reaches {one.height:.2f} of its radius",
-        )
-        rows.append((f"sheet {name}", "; ".join(words)))
-    return rows
+    s, field = wanted.separation, wanted.has_field(eta)
+    scale = np.where(field, 1.0 + s * before[:, 1, 0] / before[:, 0, 0], 1.0)
+    sheet = np.moveaxis(np.array([[scale, wanted.thickness(eta)], [k, 1.0 / eta]]), -1, 0)
+    return np.asarray(sheet @ before)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from math import hypot, isfinite, pi, tan
 from pathlib import Path
+from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from clacad.base.text import whole_number
@@ -51,6 +52,34 @@ def load_counted(path: Path, overrides: tuple[str, ...]) -> Design:
     design = load_design(path, overrides)
     refuse_uncountable(design)
     return design
+
+
+def load_sheets(paths: Sequence[Path], overrides: Sequence[str]) -> list[Design]:
+    """Read the designs of a stack. Raises DesignError, BadOption."""
+    if len(paths) > len(ascii_lowercase):  # a letter names each
+        raise BadOption(f"{len(paths)} sheets: a stack has at most {len(ascii_lowercase)}")
+    own = own_overrides(len(paths), overrides)
+    return [load_counted(path, changes) for path, changes in zip(paths, own, strict=True)]
+
+
+def own_overrides(count: int, overrides: Sequence[str]) -> list[tuple[str, ...]]:
+    """Overrides of each sheet: those with a letter are for that sheet, others for all. Raises BadOption."""
+    own: list[list[str]] = [[] for _ in range(count)]
+    for text in overrides:
+        key = text.partition("=")[0].strip()
+        letter, dot, _ = key.partition(".")
+        if dot and len(letter) == 1 and letter.isalpha():
+            number = ord(letter) - ord("a")
+            if not 0 <= number < count:
+                raise BadOption(
+                    f"--set {text}: there is no sheet {letter}; sheets are a to {ascii_lowercase[count - 1]},"
+                    " in the order they are given"
+                )
+            own[number].append(text.strip()[2:])
+        else:
+            for one in own:
+                one.append(text)
+    return [tuple(changes) for changes in own]
 
 
 def cell_option() -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Progress
 from clacad.base.units import millimetres
-from clacad.checks.check import Check, default, other
+from clacad.checks.check import Check, default, other, passed, wrong
 from clacad.checks.file_kinds import INTEGRITY, SHAPE, STACK_LIGHT, unreadable
 from clacad.exporting.formats.registry import longest_wait, reading_worker
 from clacad.exporting.roles import Role
@@ -195,3 +195,10 @@ def _judge_facets(stack: Stack, path: Path, entry: Mapping[str, Any]) -> Check:
         " stack"
     )
     return SHAPE.check("pass", sentence, limit_source=other("chords of the stated facets"), **common)
+
+
+def verdict_text(checks: Sequence[Check]) -> str:
+    """Verdict in one line: every sheet a master, or the checks that fail."""
+    if passed(checks):
+        return "passed: every sheet as an optical master, and light through all of them"
+    return f"failed: {', '.join(sorted({f'{check.id} ({check.subject})' for check in wrong(checks)}))}"

@@ -154,6 +154,20 @@ def refuse(standing: Stack, asked: StackRequest, folder: Path) -> None:
         refuse_over_limits(standing.sheets[0].window, rows(standing, asked), folder)
 
 
+def cost_of(standing: Stack, asked: StackRequest, out: Path | None) -> tuple[dict[str, Any], Span]:
+    """Cost of files and sheets in plain values, processor seconds. Raises LimitRefused, CannotWrite."""
+    if out is not None:
+        require_folder(out)
+        refuse(standing, asked, out)
+    span, mm, own = in_all(standing, asked), millimetres(standing.unit), rows_by_sheet(standing, asked)
+    sheets = [
+        sheet_facts(one, mm) | {"bytes": {row.format: row.bytes for row in own[one.id]}}
+        for one in standing.sheets
+    ]
+    files = [row.to_dict() for row in rows(standing, asked)]
+    return {"files": files, "sheets": sheets, "seconds": [span.low, span.high]}, span
+
+
 RUNGS: tuple[Rung, ...] = ("law", "thin", "surfaces")
 """Rungs on which the light of a stack is measured; facets, slower than all of them, are optional."""
 

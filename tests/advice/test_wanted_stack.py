@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from fractions import Fraction as F
 from math import degrees, inf, radians, tan
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from mpmath import matrix, mp, mpf
 
+from clacad.advice.stack_designs import wanted_matrix
 from clacad.advice.wanted_stack import (
     NoSuchStack,
     Solved,
@@ -20,10 +22,13 @@ from clacad.advice.wanted_stack import (
     solve_three,
     solve_two,
     stack_of_three,
-    wanted_matrix,
 )
 from clacad.cli import main
+from clacad.rendering.sheet_passage import stack_of
+from clacad.scene import load_scene
 from clacad.stacking import chief_matrices
+from clacad.stacking.stack_light import measure_light
+from clacad.tracing.through_stack import StackTracer
 
 FILE = Path(__file__).parents[2] / "designs" / "window-100mm.toml"
 SPLIT = (485 / 3, 970 / 3)
@@ -222,31 +227,29 @@ LINE = ("stack", str(FILE), "--gap", "161.6667,323.3333", "--zone", "50 mm", "--
         "--set", "pair.form=plano", "--set", 'pair.surface="biconic"')  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_command_says_what_two_and_three_sheets_can_and_writes_the_scene(tmp_path, capsys, monkeypatch):
+    """The scene's chief rays are off by what its exact faces add: light through those acts as 500 mm of space."""
     (tmp_path / FILE.name).write_text(FILE.read_text(encoding="utf-8"), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    out, line = Path("scenes/cloak.toml"), [LINE[0], FILE.name, *LINE[2:], "--for", "cloak,ring=15 mm", "-o"]
+    out = Path("scenes/cloak.toml")
+    line = [LINE[0], FILE.name, *LINE[2:], "--zone", "16 mm", "--for", "cloak,ring=4 mm", "-o"]
     out.parent.mkdir()
     assert main([*line, str(out)]) == 0
     said = capsys.readouterr().out
-    assert said.startswith("cloak of 500 mm: 3 sheets pass 41.7 % of the light within ± 1 deg")
+    assert re.match(r"cloak of 500 mm: 3 sheets pass \d\d\.\d % of the light within ± 1 deg", said)
     assert "not possible: two sheets: sheet a would be of eta = 1" in said
     assert f"next: clacad stack {out}" in said
     assert len(said.splitlines()) <= 24
-    from clacad.rendering.sheet_passage import stack_of
-    from clacad.scene import load_scene
-
-    scene = load_scene(
-        out,
-        (
-            "sheet.a.set.pair.offset=paraxial",
-            "sheet.b.set.pair.offset=paraxial",
-            "sheet.c.set.pair.offset=paraxial",
-        ),
-    )
-    (x, y) = (chief_matrices.meridian(stack_of(scene), axis) for axis in (0, 1))
-    np.testing.assert_allclose(x.matrix, [[1, 500], [0, 1]], atol=1e-4)
-    np.testing.assert_allclose(y.matrix, x.matrix)
+    stack = stack_of(load_scene(out))
+    chief = chief_matrices.meridian(stack, 0).matrix
+    np.testing.assert_allclose(chief, [[1, 500], [0, 1]], rtol=0.2, atol=2e-3)
+    np.testing.assert_allclose(chief_matrices.meridian(stack, 1).matrix, chief)
+    light = measure_light(
+        [StackTracer(stack, "surfaces")], 1 << 14, radians(1), lambda *_: None, (16.0, 16.0)
+    )[0].meridians[0]
+    assert light.measured_space == pytest.approx(500.0, abs=10.0)
+    assert light.measured_slope == pytest.approx(1.0, abs=0.01)
     assert main([*line, str(out)]) == 4  # the file is there
     assert main([*line, "elsewhere/far/cloak.toml"]) == 2
 
@@ -256,6 +259,7 @@ def test_the_command_gives_the_numbers_as_json(capsys):
     found = json.loads(capsys.readouterr().out)
     assert found["matrix"] == [[1.0, -100.0], [0.0, 1.0]]
     assert degrees(found["sheets"]["3"]["field"]) > 1.0
+    assert 0.0 < found["sheets"]["3"]["by_rays"] < 1.0
     assert {"impossible"} <= found["sheets"]["2"].keys() or found["sheets"]["2"]["share"] > 0
 
 
@@ -264,7 +268,7 @@ def test_the_command_gives_the_numbers_as_json(capsys):
     [
         (("--for", "space"), "--for space="), (("--for", "magic"), "give one of cloak, space, relay, image"),
         (("--for", "relay=0"), "is a magnification, a number that is not 0"),
-        (("--for", "cloak", "--set", "pair.field_lens=true"), "no field lens"),
+        (("--for", "cloak,ring=-1"), "--for ring=-1:"),
         (("--for", "relay=1", "--gap", ""), "--for needs --gap"), (("--for", "cloak"), "needs ring=LENGTH"),
     ],
 )  # fmt: skip
