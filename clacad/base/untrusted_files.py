@@ -144,6 +144,7 @@ BUDGETS: Mapping[str, Budget] = MappingProxyType(
         "pose-table": Budget(
             "tables of poses (CSV)", 4 * GIGABYTE, 40_000_000, "lines", seconds_per_megabyte=8.0
         ),
+        "calibration": Budget("calibrations of doses (CSV)", 4 * MEGABYTE, 65_536, "levels", None),
         "surface-table": Budget("tables of surfaces and heights (JSON)", 64 * MEGABYTE, None, "", None),
         "mask": Budget("masks (SVG, DXF)", GIGABYTE, 20_000_000, "places and points"),
         "gds": Budget(

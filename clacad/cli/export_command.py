@@ -19,6 +19,7 @@ from clacad.cli.option_values import (
     parse_bevel,
     parse_cell,
     parse_cells,
+    parse_distance,
     parse_slope_error,
     per_format,
     words_of,
@@ -52,6 +53,10 @@ class Export(OfDesign):
     gpu_instancing: bool = declared("gpu_instancing")
     grey_levels: int = declared("grey_levels")
     paper: str = declared("paper")
+    nose: str | None = declared("nose", None)
+    tool_step: str | None = declared("tool_step", None)
+    tool_order: str = declared("tool_order")
+    calibration: str | None = declared("calibration", None)
     target: float | None = option(
         "--target E",
         "Coarsest facets whose light is within this rms direction error of the exact surfaces, e.g. '0.5 "
@@ -95,8 +100,17 @@ def _request(design: Design, given: Export) -> Request:
         "saddle_bevel": parse_bevel(given.saddle_bevel, design),
         "role": asked_roles(role, given.formats),
         "paper": one_of("paper", given.paper, str.lower),
+        "tool_order": one_of("tool_order", given.tool_order, str.lower),
+        **{name: _length(name, getattr(given, name), design) for name in ("nose", "tool_step")},
     }
     return Request(**{**typed, **read})
+
+
+def _length(name: str, text: str | None, design: Design) -> float | None:
+    """Length of an option in design units; None where it is not given."""
+    from clacad.exporting.request import OPTIONS
+
+    return None if text is None else parse_distance(OPTIONS[name].flag, text, design.unit)
 
 
 def _export(given: Export, design: Design, request: Request, console: Console) -> int:

@@ -112,6 +112,10 @@ def _grid(value: object) -> Quads:
 def _role(word: object) -> Role:
     if word == "scan":
         raise BadRequest("role = scan: a scan is measured, not exported; allowed: master, preview")
+    if word == "tooling":
+        raise BadRequest(
+            "role = tooling: --compensate and the formats for tools declare it; allowed: master, preview"
+        )
     if isinstance(word, str) and word in WORDS:
         return WORDS[word]
     raise BadRequest(f"role = {word}: unknown{_near(word, ROLES)}; allowed: {', '.join(ROLES)}")

@@ -80,6 +80,11 @@ class Request:
         preview. That preview counts as declared if `quads` and `slope_error` were left out too. A preview
         declared here has 4 quads per cell side unless specified. Everything else with optics is a master.
     paper : "a4", "a3" or "a2". Sheets of the drawing.
+    nose : length or None. Tool points: radius of the nose; None: that of the design's process.
+    tool_step : length or None. Tool points: distance of points and of passes; None: 4 to 64 a cell.
+    tool_order : "raster" or "spiral". Tool points: row by row, forth and back, or on a spiral from the rim.
+    calibration : str or None
+        Dose: CSV of levels and measured depths, as `clacad calibrate` writes it; None: in proportion to depth.
     fused : One solid a connected piece in STEP (`step` is then "fused") and one mesh a body in 3MF and GLB,
         which otherwise repeat one cell of a uniform sheet without border.
     """
@@ -162,6 +167,21 @@ class Request:
     paper: Literal["a4", "a3", "a2"] = _declared(
         "a3", Option("--paper", "Drawing: sheets of a4, a3 or a2.", words=("a4", "a3", "a2"), rare=True)
     )
+    nose: float | None = _declared(
+        None, Option("--nose", "Tool points: radius of the nose, e.g. '25 um'.", "R", rare=True)
+    )
+    tool_step: float | None = _declared(
+        None,
+        Option("--tool-step", "Tool points: distance of points and passes, e.g. '5 um'.", "L", rare=True),
+    )
+    tool_order: Literal["raster", "spiral"] = _declared(
+        "raster",
+        Option("--tool-order", "Tool points: raster or spiral.", words=("raster", "spiral"), rare=True),
+    )
+    calibration: str | None = _declared(
+        None,
+        Option("--calibration", "Dose: CSV of levels and depths, from clacad calibrate.", "FILE", rare=True),
+    )
     fused: bool = _declared(
         False,
         Option(
@@ -210,6 +230,10 @@ class MoreOptions(TypedDict, total=False):
     gpu_instancing: bool
     grey_levels: int
     paper: Literal["a4", "a3", "a2"]
+    nose: float | None
+    tool_step: float | None
+    tool_order: Literal["raster", "spiral"]
+    calibration: str | None
     fused: bool
 
 

@@ -1,7 +1,9 @@
-"""Role of a file (master, preview, scan or other), and how files store the faces of a part.
+"""Role of a file (master, preview, scan, tooling or other), and how files store the faces of a part.
 
 Parts are made from an optical master, so light through it must obey the law. A preview is for viewing,
 quoting and fit checks. A scan is a measured surface: it is verified, but never approved for production.
+Tooling is not the part but what makes it (an insert, tool points, a dose map, a part scaled for its
+shrinkage): it is judged by the part that the process makes of it.
 Everything else (baffle, frame, pins, coupon, pictures' scenes) carries no light of the law, or is made into
 no part (a prescription for a lens-design program, a drawing). The way of storing limits the accuracy.
 """
@@ -20,6 +22,7 @@ class Role(StrEnum):
     MASTER = "optical-master"
     PREVIEW = "shape-preview"
     SCAN = "scan"
+    TOOLING = "tooling"
     OTHER = "other"
 
 
@@ -27,6 +30,7 @@ WORDS: Mapping[str, Role] = {
     "master": Role.MASTER,
     "preview": Role.PREVIEW,
     "scan": Role.SCAN,
+    "tooling": Role.TOOLING,
     "optical-master": Role.MASTER,
     "shape-preview": Role.PREVIEW,
 }

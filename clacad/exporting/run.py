@@ -361,7 +361,7 @@ def export(
     out : path
         Folder; made if missing. Nothing is written outside it.
     formats, slope_error, quads, step, role, and by keyword cells, overwrite, force, step_schema, pcurves,
-    saddle_bevel, gpu_instancing, grey_levels, paper, fused
+    saddle_bevel, gpu_instancing, grey_levels, paper, nose, tool_step, tool_order, calibration, fused
         As in `clacad.exporting.request.Request`, which gives units and defaults.
     progress : callable or None
         Called with a stage's name and the share done.

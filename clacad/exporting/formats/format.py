@@ -128,6 +128,7 @@ class Format:
     at_a_glance : `at_a_glance(window, sheet, chosen)` → `Forecast` for `check`, of a format that designs are
         commonly exported in; `chosen` is the mesh that an export would write, None without a design.
     optical : Whether the light of the law goes through a part made from its files.
+    tooling : Whether its files are not the part but make it: `Role.TOOLING`.
     of_cell : Whether it describes one cell; of a non-uniform sheet the cell that the request names.
     turned_arrays, many_sizes : Whether these may have a rotated array, and lenses of many sizes.
     repeats : Whether it stores one cell and its places if the sheet is `tessellations.instanceable`.
@@ -149,6 +150,7 @@ class Format:
     refuse_places: Callable[[Window, Request], None] | None = None
     at_a_glance: Callable[[Window, RoughSheet, ChosenMesh | None], Forecast] | None = None
     optical: bool = True
+    tooling: bool = False
     of_cell: bool = False
     turned_arrays: bool = True
     many_sizes: bool = True
@@ -175,6 +177,8 @@ class Format:
         """Role of files with exact faces, heights or poses, or without optics; that of facets depends on
         their grid.
         """
+        if self.tooling:
+            return Role.TOOLING
         return Role.MASTER if self.optical else Role.OTHER
 
     def repeats_cells(self, meshes: Meshes) -> bool:

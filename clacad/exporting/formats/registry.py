@@ -32,6 +32,7 @@ MODULES = (
     "parts",
     "engraved_meshes",
     "sequential",
+    "workshop",
     "drawing",
 )
 

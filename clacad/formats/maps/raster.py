@@ -126,9 +126,14 @@ def read_tiff(path: Path) -> Pixels:
 
 
 def write_png(
-    rows: Iterable[NDArray[np.uint16]], path: Path, width: int, height: int, pixels_per_metre: float
+    rows: Iterable[NDArray[np.uint16]],
+    path: Path,
+    width: int,
+    height: int,
+    pixels_per_metre: float,
+    bits: int = 16,
 ) -> None:
-    """Write blocks of rows (k, width) as a 16-bit grey PNG file; row 0 is the top.
+    """Write blocks of rows (k, width) as a grey PNG file of 16 or 8 bits; row 0 is the top.
 
     Raises OSError.
     Raises FileDisagrees: Another number of rows than `height`.
@@ -138,11 +143,12 @@ def write_png(
     written = 0
     with path.open("wb") as stream:
         stream.write(b"\x89PNG\r\n\x1a\n")
-        stream.write(_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)))
+        stream.write(_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, 0, 0, 0, 0)))
         stream.write(_chunk(b"pHYs", struct.pack(">IIB", dots, dots, 1)))
         for block in rows:
-            lines = np.zeros((len(block), 1 + 2 * width), dtype=np.uint8)  # the first byte: no filter
-            lines[:, 1:] = np.ascontiguousarray(block, dtype=">u2").view(np.uint8).reshape(len(block), -1)
+            lines = np.zeros((len(block), 1 + bits // 8 * width), dtype=np.uint8)  # the first byte: no filter
+            plain = np.ascontiguousarray(block, dtype=">u2" if bits == 16 else "u1")
+            lines[:, 1:] = plain.view(np.uint8).reshape(len(block), -1)
             if packed := packer.compress(lines.tobytes()):
                 stream.write(_chunk(b"IDAT", packed))
             written += len(block)
@@ -172,7 +178,7 @@ def _chunks(data: bytes, spent: Spending) -> Iterator[tuple[bytes, bytes]]:
 
 
 def read_png(path: Path) -> NDArray[np.uint16]:
-    """Read a PNG of the kind that `write_png` writes: (height, width) uint16.
+    """Read a PNG of the kind that `write_png` writes, of 16 or 8 bits: (height, width) uint16.
 
     Raises UnreadableFile: Damaged or of another kind.
     Raises OverBudget: More bytes, pixels or seconds than are read.
@@ -188,9 +194,10 @@ def read_png(path: Path) -> NDArray[np.uint16]:
         elif kind == b"IDAT":
             packed.append(body)
     width, height, *rest = struct.unpack(">IIBBBBB", head) if len(head) == 13 else (0, 0, 0)
-    need = height * (1 + 2 * width)
-    if rest != [16, 0, 0, 0, 0] or not need > 0:
-        raise UnreadableFile(f"{path.name}: not a 16-bit grey picture")
+    each = rest[0] // 8 if rest else 0
+    need = height * (1 + each * width)
+    if rest not in ([16, 0, 0, 0, 0], [8, 0, 0, 0, 0]) or not need > 0 or width < 1:
+        raise UnreadableFile(f"{path.name}: not a grey picture of 16 or 8 bits")
     spent.count(width * height)
     unpacker = zlib.decompressobj()
     try:
@@ -198,7 +205,67 @@ def read_png(path: Path) -> NDArray[np.uint16]:
     except zlib.error as error:
         raise UnreadableFile(f"{path.name}: damaged ({error})") from error
     table = np.frombuffer(lines, dtype=np.uint8)
-    if len(lines) != need or not unpacker.eof and unpacker.unconsumed_tail or table[:: 1 + 2 * width].any():
+    if (
+        len(lines) != need
+        or not unpacker.eof
+        and unpacker.unconsumed_tail
+        or table[:: 1 + each * width].any()
+    ):
         raise UnreadableFile(f"{path.name}: its pixels are not {width} × {height} unfiltered ones")
-    pixels = np.ascontiguousarray(table.reshape(height, -1)[:, 1:]).view(">u2")
+    pixels = np.ascontiguousarray(table.reshape(height, -1)[:, 1:]).view(">u2" if each == 2 else "u1")
     return pixels.astype(np.uint16)
+
+
+# -- BMP of 8 bits -------------------------------------------------------------------------------
+
+_BMP_HEAD = struct.Struct("<2sIHHIIiiHHIIiiII")
+_GREYS = b"".join(bytes((k, k, k, 0)) for k in range(256))
+
+
+def write_bmp(
+    rows: Iterable[NDArray[np.uint16]], path: Path, width: int, height: int, pixels_per_metre: float
+) -> None:
+    """Write blocks of rows (k, width) of 8 bits as a grey BMP file, stored from the top row down.
+
+    Raises OSError.
+    Raises FileDisagrees: Another number of rows than `height`, or more than 4 GiB.
+    """
+    line = (width + 3) // 4 * 4
+    first = _BMP_HEAD.size + len(_GREYS)
+    size = first + line * height
+    if size > LARGEST_TIFF:
+        raise FileDisagrees(f"{width} × {height} pixels do not fit a BMP file of 4 GiB")
+    dots = min(round(pixels_per_metre), (1 << 31) - 1)
+    head = (b"BM", size, 0, 0, first, 40, width, -height, 1, 8, 0, line * height, dots, dots, 256, 0)
+    written = 0
+    with path.open("wb") as stream:
+        stream.write(_BMP_HEAD.pack(*head) + _GREYS)
+        for block in rows:
+            padded = np.zeros((len(block), line), dtype=np.uint8)
+            padded[:, :width] = block
+            stream.write(padded.tobytes())
+            written += len(block)
+    if written != height:
+        raise FileDisagrees(f"{written} rows were drawn, {height} were promised")
+
+
+def read_bmp(path: Path) -> NDArray[np.uint16]:
+    """Read a BMP of the kind that `write_bmp` writes: (height, width) uint16.
+
+    Raises UnreadableFile: Damaged or of another kind.
+    Raises OverBudget: More bytes or pixels than are read.
+    """
+    spent = Spending("png", path)
+    data = path.read_bytes()
+    first = _BMP_HEAD.size + len(_GREYS)
+    if len(data) < first or data[_BMP_HEAD.size : first] != _GREYS:
+        raise UnreadableFile(f"{path.name}: not a grey BMP file of 8 bits")
+    mark, _, _, _, at, _, width, down, _, bits, packed, *_ = _BMP_HEAD.unpack(data[: _BMP_HEAD.size])
+    height, line = -down, (width + 3) // 4 * 4
+    if (mark, at, bits, packed) != (b"BM", first, 8, 0) or min(width, height) < 1:
+        raise UnreadableFile(f"{path.name}: not a grey BMP file of 8 bits from the top row down")
+    spent.count(width * height)
+    if len(data) != first + line * height:
+        raise UnreadableFile(f"{path.name}: {len(data)} bytes do not hold {width} × {height} pixels")
+    pixels = np.frombuffer(data, dtype=np.uint8, offset=first).reshape(height, line)
+    return pixels[:, :width].astype(np.uint16)

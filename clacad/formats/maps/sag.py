@@ -79,13 +79,13 @@ class HeightMap:
             "hole": {"u16": 0, "f32": NO_DATA},
         }
 
-    def blocks(self) -> Iterator[Floats]:
-        """Heights (k, width) from the top row down, design units, NaN where there is no face."""
+    def blocks(self, upwards: bool = False) -> Iterator[Floats]:
+        """Heights (k, width) from the top row down, or up, design units, NaN where there is no face."""
         x = self.origin[0] + self.pixel * (np.arange(self.width) + 0.5)
         rows = max(1, BLOCK // self.width)
-        for top in range(0, self.height, rows):
-            stop = min(top + rows, self.height)
-            y = self.origin[1] + self.pixel * (self.height - 0.5 - np.arange(top, stop))
+        for first in range(0, self.height, rows):
+            row = np.arange(first, min(first + rows, self.height))
+            y = self.origin[1] + self.pixel * ((row if upwards else self.height - 1 - row) + 0.5)
             gx, gy = np.meshgrid(x, y)
             yield outward_height(
                 self.window, self.body, self.face, gx.ravel(), gy.ravel(), self.reference

@@ -1,0 +1,238 @@
+"""Sheets before a part shrinks, and the inserts that mould its faces.
+
+A process makes part = file × (1 − s) in each axis, about the middle of the sheet in x and y and about a plane
+z = constant; z of an insert is counted from the apex plane of its face. A quadric stays a quadric:
+
+    R' = R (1 − s_z)/(1 − s_l)²,   1 + K' = (1 + K) ((1 − s_z)/(1 − s_l))²
+
+from part to file, with s_l along x or y. A file made to compensate the shrinkage is the part over (1 − s).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+
+from clacad.base.types import Floats
+from clacad.base.units import A4, A6, A8
+from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface
+from clacad.sheet.cell_places import CellPlacement, VertexChange
+from clacad.sheet.lattice import Circle, Lattice, Outline, Rectangle
+from clacad.sheet.window import PLANE, Body, Face, Window
+
+Three = tuple[float, float, float]
+
+STEEL = 2.0
+"""Thickness of an insert below its lowest point, over the pitch, at least."""
+
+TURN = np.diag([1.0, -1.0, -1.0])
+"""Half a turn about x."""
+
+
+class CannotShrink(ValueError):
+    """A shrinkage that leaves no part, or a sheet that cannot be scaled or turned as it asks."""
+
+    exit_status = 2
+
+
+def growth(shrinkage: Sequence[float]) -> Three:
+    """Size of a file over that of the part it makes, along x, y and z.
+
+    Raises CannotShrink: A shrinkage of 1 or more, or below −1, leaves no part.
+    """
+    for axis, value in zip("xyz", shrinkage, strict=True):
+        if not -1.0 < value < 1.0:
+            raise CannotShrink(
+                f"shrinkage of {value:g} along {axis}: it is a part of the length, above -1 and below 1; .6 % is"
+                " 0.006"
+            )
+    x, y, z = (1.0 / (1.0 - value) for value in shrinkage)
+    return x, y, z
+
+
+def grown_surface(surface: Surface, size: Three) -> Surface:
+    """Points (x, y, z) of a surface moved to (size_x x, size_y y, size_z z)."""
+    kx, ky, kz = size
+    cx, cy = surface.curvature_x * kz / kx**2, surface.curvature_y * kz / ky**2
+    if isinstance(surface, Quadric):
+        return Quadric(cx, cy, surface.kappa / kz, surface.side)
+    conics = [
+        (1.0 + conic) * (k / kz) ** 2 - 1.0 for conic, k in ((surface.conic_x, kx), (surface.conic_y, ky))
+    ]
+    if isinstance(surface, Biconic):
+        return Biconic(cx, cy, conics[0], conics[1], surface.side)
+    a4, a6, a8 = (
+        tuple(term * kz / (kx ** (order - 2 * n) * ky ** (2 * n)) for n, term in enumerate(terms))
+        for order, terms in ((4, surface.a4), (6, surface.a6), (8, surface.a8))
+    )
+    return EvenPolynomial(
+        cx, cy, conics[0], conics[1], cast("A4", a4), surface.side, cast("A6", a6), cast("A8", a8)
+    )
+
+
+def grown_window(window: Window, size: Three, apart: float | None = None) -> Window:
+    """The sheet larger by `size` along x, y and z, about the origin.
+
+    apart : Growth of the distances between faces; None: that along z.
+    Raises CannotShrink: Different sizes along the axes for cells or lenses that they would deform.
+    """
+    kx, ky, kz = size
+    apart = kz if apart is None else apart
+    if size == (1.0, 1.0, 1.0) and apart == 1.0:
+        return window
+    turned = window.lattice.hexagonal or any(place.turn for place in window.placements)
+    if kx != ky and (turned or window.land.seam or window.land.border):
+        what = "hexagonal cells, turned arrays and land of one width"
+        raise CannotShrink(
+            f"{window.name}: {what} take one shrinkage along x and y, not {kx:g} and {ky:g} of growth"
+        )
+    if not kx == ky == kz and not all(face.untilted for face in window.faces):
+        raise CannotShrink(f"{window.name}: tilted lenses take one shrinkage along x, y and z")
+    land = replace(window.land, seam=window.land.seam * kx, border=window.land.border * kx)
+    bodies = tuple(
+        replace(body, front=_grown(body.front, size, apart), back=_grown(body.back, size, apart))
+        for body in window.bodies
+    )
+    return replace(
+        window,
+        bodies=bodies,
+        lattice=_grown_lattice(window.lattice, size),
+        placements=tuple(_grown_place(place, size) for place in window.placements),
+        land=land,
+        baffle=None if window.baffle is None else replace(window.baffle, wall=window.baffle.wall * kx),
+        outline=_grown_outline(window.outline, size),
+        z_range=(window.z_range[0] * max(kz, apart), window.z_range[1] * max(kz, apart)),
+    )
+
+
+def _grown(face: Face, size: Three, apart: float) -> Face:
+    kx, ky, kz = size
+    x, y, z = face.vertex
+    land, change = face.land, face.change
+    return replace(
+        face,
+        surface=grown_surface(face.surface, size),
+        vertex=(x * kx, y * ky, z * apart),
+        land=None if land is None else z * apart + (land - z) * kz,
+        change=None if change is None else _grown_change(change, size),
+    )
+
+
+def _grown_change(change: VertexChange, size: Three) -> VertexChange:
+    kx, ky, kz = size
+    (xx, xy), (yx, yy) = change.gradient
+    (sx, sy), (lx, ly) = change.slope, change.climb
+    return replace(
+        change,
+        gradient=((xx, xy * kx / ky), (yx * ky / kx, yy)),
+        table=None if change.table is None else change.table * np.array([kx, ky]),
+        slope=(sx * kz / kx, sy * kz / ky),
+        climb=(lx * kz / kx, ly * kz / ky),
+    )
+
+
+def _grown_lattice(lattice: Lattice, size: Three) -> Lattice:
+    kx, ky, _ = size
+    kind = "rectangular" if lattice.kind == "square" and kx != ky else lattice.kind
+    pitch = (lattice.pitch[0] * kx, lattice.pitch[1] * ky)
+    return replace(lattice, kind=kind, pitch=pitch, outline=_grown_outline(lattice.outline, size))
+
+
+def _grown_place(place: CellPlacement, size: Three) -> CellPlacement:
+    (x, y), pitch = place.shift, place.pitch
+    grown = None if pitch is None else (pitch[0] * size[0], pitch[1] * size[1])
+    return replace(place, shift=(x * size[0], y * size[1]), pitch=grown)
+
+
+def _grown_outline(outline: Outline | None, size: Three) -> Outline | None:
+    if outline is None or isinstance(outline, Rectangle):
+        return None if outline is None else Rectangle(outline.width * size[0], outline.height * size[1])
+    if isinstance(outline, Circle) and size[0] == size[1]:
+        return Circle(outline.diameter * size[0])
+    what = "round" if isinstance(outline, Circle) else "drawn"
+    raise CannotShrink(
+        f"a {what} outline is not scaled by {size[0]:g} and {size[1]:g}; use a rectangular one"
+    )
+
+
+# -- inserts ---------------------------------------------------------------------------------------
+
+
+def insert_window(window: Window, face: Face, label: str, shrinkage: Sequence[float]) -> Window:
+    """The steel that moulds one face: a body whose back is the cavity's surface, with its apexes at z = 0.
+
+    Of a back face the cavity is turned by 180 degrees about x. A front face looks the other way: turned to be
+    seen from outside and turned as a cavity, it lies as in the sheet. Material is below, where the part is not.
+
+    Raises CannotShrink: A shrinkage of 1 or more; cells or outlines that cannot be scaled or turned.
+    """
+    size = growth(shrinkage)
+    whole = grown_window(window, size)
+    number = next(k for k, one in enumerate(window.faces) if one is face)
+    cut = whole.faces[number]
+    cut = replace(
+        cut, vertex=(*cut.vertex[:2], 0.0), land=None if cut.land is None else cut.land - cut.vertex[2]
+    )
+    if face.side > 0:
+        cut = cut.seen_from_behind
+        placements = whole.placements
+    else:
+        _refuse_turned(whole, cut, label)
+        cut = _turned(cut).seen_from_behind
+        placements = tuple(
+            replace(place, shift=(place.shift[0], 0.0 - place.shift[1]), turn=0.0 - place.turn)
+            for place in whole.placements
+        )
+    deep = max(window.z_range[1] - window.z_range[0], STEEL * min(window.lattice.pitch)) * size[2]
+    steel = Body(Face(PLANE, (0.0, 0.0, -deep)), cut, 1.0, label)
+    alone = replace(
+        whole, bodies=(steel,), placements=placements, baffle=None, form="plano", name=f"{window.name}-{label}",
+        z_range=(-deep, deep),
+    )  # fmt: skip
+    from clacad.sheet.feasibility import body_range
+
+    return replace(alone, z_range=body_range(alone, steel))
+
+
+def _turned(face: Face) -> Face:
+    """A face turned by 180 degrees about x; its lens is even in y."""
+    x, y, z = face.vertex
+    rotation = face.rotation if face.untilted else TURN @ face.rotation @ TURN
+    return replace(
+        face,
+        surface=replace(face.surface, side=-face.surface.side),
+        vertex=(x, 0.0 - y, 0.0 - z),
+        rotation=rotation,
+        land=None if face.land is None else 0.0 - face.land,
+    )
+
+
+def _refuse_turned(window: Window, face: Face, label: str) -> None:
+    """Refuse sheets whose cells do not lie on those of the sheet turned about x."""
+    if face.change is not None:
+        raise CannotShrink(
+            f"insert: every lenslet of {label} is another; only front faces of such sheets are turned"
+        )
+    if window.lattice.hexagonal and window.lattice.count[1] % 2 == 0:
+        raise CannotShrink(
+            f"insert: {window.lattice.count[1]} rows of hexagonal cells do not lie on themselves when turned about"
+            " x; use an odd number of rows (lattice.count, or --cells)"
+        )
+
+
+def made_points(points: Floats, shrinkage: Sequence[float], front: bool) -> Floats:
+    """Points (..., 3) of the part, its apex plane at z = 0 and axes of the sheet, that an insert's points mould.
+
+    front : Whether the insert is of a front face.
+    """
+    made = np.asarray(points, dtype=np.float64) * (1.0 - np.asarray(shrinkage, dtype=np.float64))
+    return made if front else made * np.array([1.0, -1.0, -1.0])
+
+
+def cavity_point(point: Any, shrinkage: Sequence[float]) -> tuple[Floats, Floats]:
+    """Point (3,) of the cavity for one of the part, seen from outside, and of the insert's file."""
+    cavity = np.asarray(point, dtype=np.float64) / (1.0 - np.asarray(shrinkage, dtype=np.float64))
+    return cavity, cavity @ TURN
