@@ -57,6 +57,7 @@ class Export(OfDesign):
     tool_step: str | None = declared("tool_step", None)
     tool_order: str = declared("tool_order")
     calibration: str | None = declared("calibration", None)
+    compensate: bool = declared("compensate")
     target: float | None = option(
         "--target E",
         "Coarsest facets whose light is within this rms direction error of the exact surfaces, e.g. '0.5 "

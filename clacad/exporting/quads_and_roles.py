@@ -279,6 +279,8 @@ def with_prospects(grader: Grader, rows: Sequence[Forecast], request: Request) -
 
 def _prospect(grader: Grader, sizes: Sizes, row: Forecast, request: Request) -> Prospect:
     asked = request.role.get(row.format)
+    if format_of(row.format).compensated(request):
+        return Prospect(Role.TOOLING, True)
     if row.quads is None:
         return Prospect(format_of(row.format).role if asked is None else asked, asked is not None)
     rms, beyond = _light(grader, row.quads)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, TypedDict
+from typing import TYPE_CHECKING, Any, Literal, TypedDict
 
 from clacad.exporting.roles import Role
 from clacad.storage.errors import BadRequest
+
+if TYPE_CHECKING:
+    from clacad.exporting.compensation import Compensation
 
 Quads = int | Literal["auto"]
 AskedQuads = Quads | Mapping[str, Quads] | None
@@ -84,9 +87,11 @@ class Request:
     tool_step : length or None. Tool points: distance of points and of passes; None: 4 to 64 a cell.
     tool_order : "raster" or "spiral". Tool points: row by row, forth and back, or on a spiral from the rim.
     calibration : str or None
-        Dose: CSV of levels and measured depths, as `clacad calibrate` writes it; None: in proportion to depth.
+        Dose: CSV of levels and measured depths, from `clacad calibrate`; None: in proportion to depth.
+    compensate : Files of every format hold the part before it shrinks and sinks, and are tooling.
     fused : One solid a connected piece in STEP (`step` is then "fused") and one mesh a body in 3MF and GLB,
         which otherwise repeat one cell of a uniform sheet without border.
+    compensation : Of the process of the design; the export fills it in.
     """
 
     formats: tuple[str, ...] = _declared(
@@ -182,6 +187,15 @@ class Request:
         None,
         Option("--calibration", "Dose: CSV of levels and depths, from clacad calibrate.", "FILE", rare=True),
     )
+    compensate: bool = _declared(
+        False,
+        Option(
+            "--compensate",
+            "Scale and bend files so that the process makes the part of them (shrinkage, sink of [process]);"
+            " formats for tools always do.",
+            rare=True,
+        ),
+    )
     fused: bool = _declared(
         False,
         Option(
@@ -191,6 +205,8 @@ class Request:
             rare=True,
         ),
     )
+
+    compensation: Compensation | None = None
 
     def __post_init__(self) -> None:
         """Apply `fused` to the STEP mode. Raises BadRequest: Fused and instanced are requested together."""
@@ -234,10 +250,11 @@ class MoreOptions(TypedDict, total=False):
     tool_step: float | None
     tool_order: Literal["raster", "spiral"]
     calibration: str | None
+    compensate: bool
     fused: bool
 
 
-OPTIONS: Mapping[str, Option] = {one.name: one.metadata["option"] for one in fields(Request)}
+OPTIONS: Mapping[str, Option] = {one.name: one.metadata["option"] for one in fields(Request) if one.metadata}
 """Field of `Request` → its command-line form."""
 
 DEFAULTS = Request()

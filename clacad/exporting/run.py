@@ -21,6 +21,7 @@ from clacad.base.types import Progress
 from clacad.base.untrusted_files import BUDGETS, read_regular
 from clacad.design.cell_table import digest, table_path
 from clacad.exporting import limits
+from clacad.exporting.compensation import compensation_of, nose_of
 from clacad.exporting.forecast import PREPARE, forecast, prepare_seconds
 from clacad.exporting.formats.format import Forecast, cell_words
 from clacad.exporting.formats.registry import format_of, known
@@ -82,7 +83,7 @@ CAD_MODULES = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
 def run_export(design: Design, out: str, request: Request, progress: Progress | None) -> Manifest:
     """Do what `clacad.exporting.run.export` promises."""
     report = shown_progress(progress)
-    formats = _formats(request)
+    formats, request = _formats(request), _of_process(design, request)
     made = design if request.cells is None else design.with_cells(request.cells)
     _refuse_by_count(made, formats, request)
     began, used = time.monotonic(), time.process_time()
@@ -135,7 +136,7 @@ def forecast_rows(design: Design, request: Request, out: Path | None = None) -> 
     Raises CannotWrite: The folder cannot be made or written to.
     """
     made = design if request.cells is None else design.with_cells(request.cells)
-    formats = _formats(request)
+    formats, request = _formats(request), _of_process(design, request)
     _refuse_by_count(made, formats, request)
     meshes = Meshes(_prescribed(made, request), request.saddle_bevel, request.fused)
     if out is None:
@@ -150,7 +151,7 @@ def refuse_impossible(design: Design, request: Request) -> None:
     Raises DesignError, NotPossible, LimitRefused, CannotBuild: The refusals of all formats together.
     """
     made = design if request.cells is None else design.with_cells(request.cells)
-    formats = _formats(request)
+    formats, request = _formats(request), _of_process(design, request)
     _refuse_by_count(made, formats, request)
     with ended_by_signals(), Worker(memory=worker_memory()) as worker:
         _impossible(made, _prescribed(made, request), formats, request, worker).complete()
@@ -161,6 +162,12 @@ def _formats(request: Request) -> tuple[str, ...]:
     formats = known(request.formats)
     refuse_idle(request)
     return formats
+
+
+def _of_process(design: Design, request: Request) -> Request:
+    """The request with the compensation for the design's process, and its nose where none is requested."""
+    nose = nose_of(design) if request.nose is None else request.nose
+    return replace(request, nose=nose, compensation=compensation_of(design))
 
 
 def _refuse_by_count(design: Design, formats: tuple[str, ...], request: Request) -> None:
@@ -232,7 +239,9 @@ def _priced(grader: Grader, formats: tuple[str, ...], request: Request, refused:
             with refused.of(name):
                 kind, whole = format_of(name), grader.meshes.window
                 sheet, note = kind.sheet_of(whole, request), cell_words(kind.cell_facts(whole, request))
-                meshes = grader.meshes if sheet is whole else Meshes(sheet)
+                meshes = (
+                    grader.meshes if sheet is whole else Meshes(sheet, request.saddle_bevel, request.fused)
+                )
                 found = forecast(meshes, [name], quads, request)
                 rows += [replace(row, note=note or row.note) for row in found]
     return rows
@@ -276,7 +285,11 @@ def _produced(
             with translated(job.stage.folder):
                 one = job if row.quads is None else replace(job, tessellation=meshes.at(row.quads))
                 kind = format_of(name)
-                one = replace(one, window=kind.sheet_of(job.window, job.request))
+                sheet = kind.sheet_of(job.window, job.request)
+                if row.quads is not None and sheet is not job.window:
+                    own = Meshes(sheet, job.request.saddle_bevel, job.request.fused)
+                    one = replace(one, tessellation=own.at(row.quads))
+                one = replace(one, window=sheet)
                 cell = kind.cell_facts(job.window, job.request)
                 records += [_with_facts(record, row, cell) for record in kind.write(one)]
         except (ExportError, MemoryError, ValueError) as error:
@@ -361,7 +374,8 @@ def export(
     out : path
         Folder; made if missing. Nothing is written outside it.
     formats, slope_error, quads, step, role, and by keyword cells, overwrite, force, step_schema, pcurves,
-    saddle_bevel, gpu_instancing, grey_levels, paper, nose, tool_step, tool_order, calibration, fused
+    saddle_bevel, gpu_instancing, grey_levels, paper, nose, tool_step, tool_order, calibration,
+    compensate, fused
         As in `clacad.exporting.request.Request`, which gives units and defaults.
     progress : callable or None
         Called with a stage's name and the share done.
@@ -399,7 +413,7 @@ def _signature_of_export() -> Signature:
     known |= {
         name: Parameter(name, Parameter.KEYWORD_ONLY, default=getattr(DEFAULTS, name), annotation=kind)
         for name, kind in Request.__annotations__.items()
-        if name not in known
+        if name not in known and name in OPTIONS
     }
     return plain.replace(parameters=[known[name] for name in ("design", "out", *OPTIONS, "progress")])
 

@@ -37,6 +37,7 @@ from clacad.judging.mesh_file import judge_mesh
 from clacad.judging.mesh_light import MeshEvidence
 from clacad.judging.registration import Placed, place
 from clacad.judging.step_file import hole_words, judge_solid, lies_elsewhere
+from clacad.judging.tooling import judge_points, judge_scaled, named_uncompensated
 from clacad.judging.unit_and_cells import MISREAD, held_bodies, unit_of, written_window
 from clacad.judging.without_optics import judge_other, no_optics, whole_delivery
 from clacad.prescription.prescribe import prescribe
@@ -48,6 +49,7 @@ from clacad.storage.reading import Overheard
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.exporting.formats.file_kind import FileKind
     from clacad.formats.mesh.file_mesh import FileMesh
 
 
@@ -249,6 +251,8 @@ def _judge_one(
         return [table_check(asked.design, subject)], FileReport(
             subject, "the table of cells", role=Role.OTHER
         )
+    if subject.role is Role.TOOLING and (kind := subject.kind) is not None:
+        return _judge_tooling(asked, subject, kind, window, whole)
     if subject.entry and (reason := no_optics(whole, subject)) is not None:
         asked.progress(f"reading {subject.name}", 0.0)
         return judge_other(asked, whole, subject, reason), FileReport(subject, reason.note, role=Role.OTHER)
@@ -266,6 +270,30 @@ def _judge_one(
         f"{subject.path.suffix or 'this'} is no format that can be judged", subject=subject.name
     )
     return [check], FileReport(subject, "unknown format")
+
+
+def _judge_tooling(
+    asked: Inspection, subject: Subject, kind: FileKind, window: Window | None, whole: Window
+) -> Judged:
+    """Judge a file that makes the part: as the file that it should be, and by the part that it makes."""
+    from clacad.exporting.compensation import compensation_of
+
+    compensation, note = compensation_of(asked.design), "tooling: judged by the part that it makes"
+    if kind.reading.points is not None:
+        asked.progress(f"reading {subject.name}", 0.0)
+        found = judge_points(asked, whole, subject, kind, compensation)
+        return found, FileReport(subject, note, role=Role.TOOLING)
+    if kind.family not in ("mesh", "solid", "map") or kind.reading.samples is None and kind.family == "map":
+        check = READABLE.check("pass", "judged by its bytes", required=False, **asked.common)
+        return [check], FileReport(subject, note, role=Role.TOOLING)
+    plain, master = replace(subject, role=Role.MASTER), replace(asked, role=Role.MASTER)
+    scaled = compensation.window(whole)
+    checks, one = _judge_one(master, plain, scaled, scaled)
+    more = judge_scaled(asked, whole, compensation, checks)
+    if any(check.kind is SHAPE and check.state == "fail" for check in more):
+        bare, _ = _judge_one(master, plain, whole, whole)
+        more = named_uncompensated(more, bare, compensation)
+    return more, replace(one, subject=subject, note=note, role=Role.TOOLING, mesh=None)
 
 
 def _judge_solids(asked: Inspection, subject: Subject, window: Window | None, whole: Window) -> Judged:

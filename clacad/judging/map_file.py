@@ -19,7 +19,7 @@ from clacad.base.types import Floats
 from clacad.checks.check import Check, other
 from clacad.checks.file_kinds import READABLE, SHAPE, THROUGH_FILE, unreadable
 from clacad.exporting.formats import registry
-from clacad.exporting.formats.file_kind import FaceFile, FileKind, Reading, Samples
+from clacad.exporting.formats.file_kind import FaceFile, FileKind, Reading
 from clacad.exporting.limits import refuse_no_cell
 from clacad.exporting.roles import Role
 from clacad.formats.maps.sag import structured_faces
@@ -54,7 +54,7 @@ def map_light(asked: Inspection, window: Window, subject: Subject, kind: FileKin
     like = next(f for _, f, name in structured_faces(one.like) if name == label)
     try:
         held = samples(FaceFile(described, body, face, label, subject.path), cell)
-        through = _bodies(one.like, like, cell, held)
+        through = made_bodies(one.like, like, cell, held.points, held.step)
     except (ExportError, OSError, ValueError) as error:
         why = f"no light can be sent through it: {error}"
         return [kind.not_run(why, **asked.common) for kind in THROUGH_FILE]
@@ -71,15 +71,17 @@ def map_light(asked: Inspection, window: Window, subject: Subject, kind: FileKin
     return light_checks(asked, seen, what, cells=() if window.uniform else (cell,))
 
 
-def _bodies(window: Window, sampled: Face, cell: tuple[int, int], held: Samples) -> tuple[FacetBody, ...]:
-    """Telescopelet of a cell: one face as sampled, the others as designed."""
+def made_bodies(
+    window: Window, sampled: Face, cell: tuple[int, int], points: Floats, step: Floats
+) -> tuple[FacetBody, ...]:
+    """Telescopelet of a cell: one face as at points (m, 3), `step` (2,) apart; the others as designed."""
     bodies = []
     for body in window.bodies:
         faces: list[AnyFace] = []
         for face in (body.front, body.back):
             place = np.array([*_centre(window, face, cell), 0.0])
             if face is sampled:
-                faces.append(sampled_face(window, face, place, held.points, held.step))
+                faces.append(sampled_face(window, face, place, points, step))
             else:
                 faces.append(ExactFace(face, place, window))
         bodies.append(FacetBody(faces[0], faces[1], body))

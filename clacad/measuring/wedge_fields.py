@@ -1,4 +1,4 @@
-"""Calibration of a dose from a measured coupon: where its fields lie, how deep they are, how well that is known.
+"""Calibration of a dose from a measured coupon: where its fields lie, how deep they are, and how surely.
 
 Of each field the depth is the mean of the land within a quarter of a side around it less the mean of the
 inner 60 % of the field; the uncertainty is the spread over blocks of a tenth of a side.
@@ -122,8 +122,8 @@ def calibrate(
     explained = _explained(coupon, u, v, z)
     if not explained > FOUND:
         raise NotMeasurable(
-            f"{map_.name}: no coupon of {len(coupon.levels)} fields of {1e6 * side:g} um is found in it (fields"
-            f" explain {100 * max(0.0, explained):.0f} % of its heights); --side states another side"
+            f"{map_.name}: no coupon of {len(coupon.levels)} fields of {1e6 * side:g} um is found in it"
+            f" (fields explain {100 * max(0.0, explained):.0f} % of its heights); --side states another side"
         )
     depths, halves = np.array(list(_fields(map_.name, coupon, u, v, z))).T
     level_0 = float(depths[0])
@@ -137,9 +137,9 @@ def _refuse_not_rising(name: str, coupon: Coupon, depths: Floats, halves: Floats
     for (low, d0, u0), (high, d1, u1) in pairwise(rows):
         if not d1 > d0:
             raise NotMeasurable(
-                f"{name}: level {high} is {d1:.4g} +- {u1:.2g} um deep, level {low} {d0:.4g} +- {u0:.2g} um: depths"
-                " must rise from level to level; expose and measure the coupon again, or keep its levels below"
-                " where the resist is through"
+                f"{name}: level {high} is {d1:.4g} +- {u1:.2g} um deep, level {low} {d0:.4g} +- {u0:.2g} um:"
+                " depths must rise from level to level; expose and measure the coupon again, or keep its"
+                " levels below where the resist is through"
             )
 
 
@@ -238,7 +238,7 @@ def _number(coupon: Coupon, u: Floats, v: Floats) -> tuple[Ints, Floats]:
 
 
 def _explained(coupon: Coupon, u: Floats, v: Floats, z: Floats) -> float:
-    """Part of the variance of the heights over the coupon that one height a field and one of the land explain."""
+    """Part of the variance of heights over the coupon that one height a field and one of land explain."""
     number, off = _number(coupon, u, v)
     here = number >= 0
     if here.sum() < 64:
@@ -264,8 +264,8 @@ def _fields(name: str, coupon: Coupon, u: Floats, v: Floats, z: Floats) -> Itera
         whole = (INNER / BLOCK) ** 2
         if len(inside) < PRESENT * whole or len(around) < whole:
             raise NotMeasurable(
-                f"{name}: the field of level {level} is missing: {len(inside)} of {whole:.0f} blocks of it and"
-                f" {len(around)} of the land around were measured"
+                f"{name}: the field of level {level} is missing: {len(inside)} of {whole:.0f} blocks of it"
+                f" and {len(around)} of the land around were measured"
             )
         spread = [float(part.std(ddof=1)) / np.sqrt(len(part)) for part in (inside, around)]
         middle = [float(z[mine & part].mean()) for part in (land, inner)]

@@ -58,6 +58,7 @@ SIGNS = {"<=": "≤", ">=": "≥", "=": "=", "in": "in"}
 _CSS = {
     "passed as optical master": "pass",
     "passed as scan": "pass",
+    "passed as tooling": "pass",
     "shape only": "warn",
     "not judged": "not-run",
 }

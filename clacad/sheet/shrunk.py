@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import comb
 from typing import Any, cast
 
 import numpy as np
@@ -33,7 +34,7 @@ TURN = np.diag([1.0, -1.0, -1.0])
 
 
 class CannotShrink(ValueError):
-    """A shrinkage that leaves no part, or a sheet that cannot be scaled or turned as it asks."""
+    """A shrinkage that leaves no part, or a sheet that cannot be scaled, bent or turned for it."""
 
     exit_status = 2
 
@@ -46,8 +47,8 @@ def growth(shrinkage: Sequence[float]) -> Three:
     for axis, value in zip("xyz", shrinkage, strict=True):
         if not -1.0 < value < 1.0:
             raise CannotShrink(
-                f"shrinkage of {value:g} along {axis}: it is a part of the length, above -1 and below 1; .6 % is"
-                " 0.006"
+                f"shrinkage of {value:g} along {axis}: it is a part of the length, above -1 and below 1;"
+                " .6 % is 0.006"
             )
     x, y, z = (1.0 / (1.0 - value) for value in shrinkage)
     return x, y, z
@@ -158,14 +159,73 @@ def _grown_outline(outline: Outline | None, size: Three) -> Outline | None:
     )
 
 
+# -- sink ------------------------------------------------------------------------------------------
+
+
+def bent_window(window: Window, depth: float) -> Window:
+    """The sheet with its lenses raised by what they will sink: depth (1 − u²)(1 − v²), over half a cell.
+
+    The curvature takes the square terms, terms of order 4 to 8 the rest; what is left is of order 10.
+
+    Raises CannotShrink: Lenses other than upright quadrics, each alike.
+    """
+    if not depth:
+        return window
+    lenses = [face for face in window.faces if face.array is not None]
+    if not all(face.untilted and isinstance(face.surface, Quadric) for face in lenses):
+        raise CannotShrink(f"{window.name}: sink is compensated for upright lenses that are quadrics")
+    bodies = tuple(
+        replace(body, front=_bent(window, body.front, depth), back=_bent(window, body.back, depth))
+        for body in window.bodies
+    )
+    low, high = window.z_range
+    return replace(window, bodies=bodies, z_range=(low - depth, high + depth))
+
+
+def _bent(window: Window, face: Face, depth: float) -> Face:
+    if face.array is None or not isinstance(face.surface, Quadric):
+        return face
+    hx, hy = np.abs(window.lattice_of(face.array).tile()).max(axis=0).tolist()
+    x, y, z = face.vertex
+    one = face.surface
+    ax, ay = depth / hx**2, depth / hy**2
+    before, after = (
+        (one.curvature_x, one.curvature_y),
+        (one.curvature_x + 2.0 * ax, one.curvature_y + 2.0 * ay),
+    )
+    if not all(after):
+        raise CannotShrink(f"{window.name}: a lens that is flat along one axis once its sink is compensated")
+    a4, a6, a8 = (np.subtract(p, q) for p, q in zip(_series(before, one.kappa), _series(after, one.kappa)))
+    a4[1] -= depth / (hx * hy) ** 2
+    conics = [one.kappa / c - 1.0 for c in after]
+    fourth, sixth, eighth = (tuple(terms.tolist()) for terms in (a4, a6, a8))
+    bent = EvenPolynomial(
+        *after, conics[0], conics[1], cast("A4", fourth), one.side, cast("A6", sixth), cast("A8", eighth)
+    )
+    return replace(face, surface=bent, vertex=(x, y, z - face.side * depth))
+
+
+def _series(curvatures: tuple[float, float], kappa: float) -> list[Floats]:
+    """Coefficients of orders 4, 6 and 8 of a quadric's height: κ Q²/8, κ² Q³/16, 5 κ³ Q⁴/128."""
+    cx, cy = curvatures
+    return [
+        np.array([factor * comb(n, k) * cx ** (n - k) * cy**k for k in range(n + 1)])
+        for n, factor in ((2, kappa / 8.0), (3, kappa**2 / 16.0), (4, 5.0 * kappa**3 / 128.0))
+    ]
+
+
 # -- inserts ---------------------------------------------------------------------------------------
 
 
-def insert_window(window: Window, face: Face, label: str, shrinkage: Sequence[float]) -> Window:
+def insert_window(
+    window: Window, face: Face, label: str, shrinkage: Sequence[float] = (0.0, 0.0, 0.0)
+) -> Window:
     """The steel that moulds one face: a body whose back is the cavity's surface, with its apexes at z = 0.
 
     Of a back face the cavity is turned by 180 degrees about x. A front face looks the other way: turned to be
-    seen from outside and turned as a cavity, it lies as in the sheet. Material is below, where the part is not.
+    seen from outside and turned as a cavity, it lies as in the sheet. Material is below, where no part is.
+
+    shrinkage : Of the process; none for a sheet that is compensated already.
 
     Raises CannotShrink: A shrinkage of 1 or more; cells or outlines that cannot be scaled or turned.
     """
@@ -188,10 +248,8 @@ def insert_window(window: Window, face: Face, label: str, shrinkage: Sequence[fl
         )
     deep = max(window.z_range[1] - window.z_range[0], STEEL * min(window.lattice.pitch)) * size[2]
     steel = Body(Face(PLANE, (0.0, 0.0, -deep)), cut, 1.0, label)
-    alone = replace(
-        whole, bodies=(steel,), placements=placements, baffle=None, form="plano", name=f"{window.name}-{label}",
-        z_range=(-deep, deep),
-    )  # fmt: skip
+    name = f"{window.name}-{label}"
+    alone = replace(whole, bodies=(steel,), placements=placements, baffle=None, form="plano", name=name)
     from clacad.sheet.feasibility import body_range
 
     return replace(alone, z_range=body_range(alone, steel))
@@ -218,13 +276,13 @@ def _refuse_turned(window: Window, face: Face, label: str) -> None:
         )
     if window.lattice.hexagonal and window.lattice.count[1] % 2 == 0:
         raise CannotShrink(
-            f"insert: {window.lattice.count[1]} rows of hexagonal cells do not lie on themselves when turned about"
-            " x; use an odd number of rows (lattice.count, or --cells)"
+            f"insert: {window.lattice.count[1]} rows of hexagonal cells do not lie on themselves when turned"
+            " about x; use an odd number of rows (lattice.count, or --cells)"
         )
 
 
 def made_points(points: Floats, shrinkage: Sequence[float], front: bool) -> Floats:
-    """Points (..., 3) of the part, its apex plane at z = 0 and axes of the sheet, that an insert's points mould.
+    """Points (..., 3) of the part that an insert's points mould: apex plane at z = 0, axes of the sheet.
 
     front : Whether the insert is of a front face.
     """

@@ -17,11 +17,18 @@ from clacad.checks.file_kinds import DELIVERY, FAITHFUL_RMS, FILE_LAW_ETA, FILE_
 from clacad.exporting.roles import Role
 
 Word = Literal[
-    "passed", "passed as optical master", "passed as scan", "shape only", "failed", "not judged", "cannot say"
+    "passed",
+    "passed as optical master",
+    "passed as scan",
+    "passed as tooling",
+    "shape only",
+    "failed",
+    "not judged",
+    "cannot say",
 ]
 """Verdicts; the first is for a design without files."""
 
-GOOD: tuple[Word, ...] = ("passed", "passed as optical master", "passed as scan")
+GOOD: tuple[Word, ...] = ("passed", "passed as optical master", "passed as scan", "passed as tooling")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +86,8 @@ def file_verdict(
         word = "failed"
     elif role is Role.SCAN:
         word = "failed" if bad else "passed as scan"
+    elif role is Role.TOOLING:
+        word = "failed" if bad else "passed as tooling"
     elif bad or (role is Role.PREVIEW and (declared or light)):
         word = "shape only"  # an undeclared preview is a forecast: light may decide otherwise
     else:
@@ -116,6 +125,8 @@ def _sentence(
         )
     if word == "passed as scan":
         return f"{through}; a measured surface, not a file to make parts from"
+    if word == "passed as tooling":
+        return f"of the part that it makes: {through or 'every number is as it should be'}"
     return through or "every number in it is the design's"
 
 
@@ -150,7 +161,8 @@ def word_of(judged: Sequence[FileVerdict], checks: Sequence[Check]) -> Word:
         return "passed as optical master"
     if any(one.word == "shape only" for one in optical):
         return "shape only"
-    return "passed as scan" if any(one.word == "passed as scan" for one in optical) else "not judged"
+    late: tuple[Word, ...] = ("passed as scan", "passed as tooling")
+    return next((word for word in late if any(one.word == word for one in optical)), "not judged")
 
 
 def settled(one: FileVerdict) -> bool:

@@ -68,6 +68,8 @@ class Reading:
     face : `face(file)` → misfit of a file of one face.
     sheet : `sheet(window, path)` → misfit of a file of the whole window.
     samples : `samples(file, cell)` → heights of one cell of a face, through which light is traced.
+    points : `points(file)` → points (m, 3) of tooling, lengths, in the axes of its window.
+    room : Largest distance of such a point from where it belongs, in pitches.
     unit : Unit of the misfit; "": relative.
     """
 
@@ -75,6 +77,8 @@ class Reading:
     sheet: Callable[[Window, Path], Misfit] | None = None
     samples: Callable[[FaceFile, tuple[int, int]], Samples] | None = None
     unit: str = "mm"
+    points: Callable[[FaceFile], Floats] | None = None
+    room: float = 1e-6
 
 
 @dataclass(frozen=True, eq=False)

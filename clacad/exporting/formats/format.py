@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from clacad.base.units import millimetres
 from clacad.exporting.roles import NO_SURFACE, Role, Storing
 
 if TYPE_CHECKING:
@@ -188,18 +189,28 @@ class Format:
     def sheet_of(self, window: Window, asked: Request) -> Window:
         """Sheet that the files describe: of one cell, its uniform equivalent, named after the cell.
 
-        The equivalent's cells are as wide as array 1's, of maps as the wider array's.
+        The equivalent's cells are as wide as array 1's, of maps as the wider array's. Tooling describes the
+        sheet before the process shrinks it.
         """
-        if window.uniform or not self.of_cell or asked.cell is None:
-            return window
-        from clacad.sheet.like_cell import named_cell
+        if not (window.uniform or not self.of_cell or asked.cell is None):
+            from clacad.sheet.like_cell import named_cell
 
-        return named_cell(window, asked.cell, widest=self.family == "map")
+            window = named_cell(window, asked.cell, widest=self.family == "map")
+        if asked.compensation is None or not self.compensated(asked):
+            return window
+        return asked.compensation.window(window)
+
+    def compensated(self, asked: Request) -> bool:
+        """Whether the files of a request are tooling: the part before its process shrinks it."""
+        return self.tooling or (asked.compensate and self.optical)
 
     def cell_facts(self, window: Window, asked: Request) -> dict[str, Any]:
-        """Which cell the files describe, for the manifest; empty for other formats or without a request."""
+        """Which cell the files describe, and what tooling is compensated for: facts for the manifest."""
         given = self.of_cell and asked.cell is not None
-        return {"cell": asked.cell, "uniform": window.uniform or None} if given else {}
+        facts: dict[str, Any] = {"cell": asked.cell, "uniform": window.uniform or None} if given else {}
+        if asked.compensation is not None and self.compensated(asked):
+            facts["compensation"] = asked.compensation.to_dict(millimetres(window.unit))
+        return facts
 
     def holds(self, window: Window) -> bool:
         """Whether a file can hold the cells of a sheet."""

@@ -1,11 +1,11 @@
-"""Files that a workshop feeds its machines: inserts of moulds, tool points, dose maps and the coupon of a dose.
+"""Files that a workshop feeds its machines: inserts of moulds, tool points, dose maps, the coupon of a dose.
 
 None of them is the part. Their role is `tooling`: they are judged by the part that the process makes of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,9 @@ from clacad.exporting.formats.format import BASE, Forecast, Format, stream_bytes
 from clacad.exporting.roles import AT_POINTS, EXACT_FACES, NO_SURFACE, SIXTEEN_BITS
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from clacad.base.types import Floats
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.tessellations import Meshes
@@ -53,15 +56,12 @@ WEDGE_PIXEL = 1e-6
 def _write_insert(job: Job) -> list[FileRecord]:
     """Write STEP, STL and height map of the insert of every structured face."""
     from clacad.formats.maps.sag import structured_faces
-    from clacad.making.process import process_of
     from clacad.sheet.shrunk import insert_window
 
     records: list[FileRecord] = []
-    process = process_of(job.design)
     for _, face, label in structured_faces(job.window):
-        steel = insert_window(job.window, face, label, process.shrinkage)
-        facts = {"face": label, "compensation": {"shrinkage": list(process.shrinkage), "turned": "about x"}}
-        records += [replace(one, facts={**one.facts, **facts}) for one in _insert_files(job, steel, label)]
+        files = _insert_files(job, insert_window(job.window, face, label), label)
+        records += [replace(one, facts={**one.facts, "face": label}) for one in files]
     return records
 
 
@@ -85,6 +85,36 @@ def _insert_files(job: Job, steel: Window, label: str) -> Iterator[FileRecord]:
     yield job.record(path, INSERT_MAP, bodies=kept, facts=facts)
 
 
+def is_insert(word: str) -> bool:
+    """Whether files of a kind are inserts of a mould."""
+    return word in (INSERT_STEP, INSERT_STL, INSERT_MAP)
+
+
+def surface_misfit(of: FaceFile, points: Floats) -> Floats:
+    """Distances (m,) along z of points from the face of a file's window, lengths; NaN off its cells."""
+    import numpy as np
+
+    from clacad.sheet.window import face_height
+
+    index, u, v = of.window.locate(of.face.array or 0, points[:, 0], points[:, 1])
+    off = points[:, 2] - face_height(of.window, of.face, u, v, index)
+    return np.where(of.window.lattice.contains(index), off, np.nan)
+
+
+def _insert_misfit(points: Callable[[FaceFile], Floats]) -> Callable[[FaceFile], Misfit]:
+    """Comparison of an insert, by its points, with the face of its window."""
+
+    def compare(of: FaceFile) -> Misfit:
+        import numpy as np
+
+        off = surface_misfit(of, points(of))
+        worst = float(np.nanmax(np.abs(off), initial=0.0)) if np.isfinite(off).any() else np.inf
+        room = 1e-5 * min(of.window.lattice.pitch) * of.scale
+        return worst * of.scale, room, f"{np.isfinite(off).sum():,} points of {of.label}"
+
+    return compare
+
+
 def _insert_quads(steel: Window) -> int:
     """Finest grid whose facets stay below `INSERT_FACETS`."""
     from clacad.exporting.limits import QUADS
@@ -99,7 +129,7 @@ def _require_insert(window: Window, _asked: Request, _worker: Worker) -> None:
     from clacad.sheet.shrunk import insert_window
 
     for _, face, label in structured_faces(window):
-        insert_window(window, face, label, (0.0, 0.0, 0.0))
+        insert_window(window, face, label)
 
 
 def _forecast_insert(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
@@ -114,6 +144,73 @@ def _forecast_insert(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     size = step + faces * (stream_bytes(2 * quads * quads * cells) + 4 * pixels)
     return map_row(INSERT, size, BASE + INSERT_SECONDS * faces + 1.2e-6 * step, 500_000_000)
 
+
+def _step_points(of: FaceFile) -> Floats:
+    """Corners of triangles on the faces of a STEP file, which lie on the faces themselves."""
+    from clacad.base.units import millimetres
+    from clacad.exporting.formats.registry import longest_wait, reading_worker
+    from clacad.storage.atomic import scratch_folder
+
+    fine = STEP_FINE * min(of.window.lattice.pitch) * millimetres(of.window.unit)
+    with scratch_folder() as folder, reading_worker(of.path) as worker:
+        target = folder / "insert.stl"
+        worker.run(
+            "clacad.formats.step.read_back:facets",
+            str(of.path),
+            str(target),
+            fine,
+            timeout=longest_wait(of.path),
+        )
+        return _corners(target, of)
+
+
+def _stl_points(of: FaceFile) -> Floats:
+    return _corners(of.path, of)
+
+
+def _corners(path: Path, of: FaceFile) -> Floats:
+    """Corners of facets that are no walls, each once, without those of the block's bottom and top."""
+    import numpy as np
+
+    from clacad.formats.mesh.readers import read_mesh
+    from clacad.sheet.window import WALL
+
+    found = []
+    reach = INSIDE * max(abs(z) for z in of.window.z_range)
+    for chunk in read_mesh(path).chunks():
+        corners = np.asarray(chunk, dtype=np.float64) / of.scale
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        level = np.abs(normal[:, 2]) > WALL * np.linalg.norm(normal, axis=1)
+        found.append(np.unique(corners[level].reshape(-1, 3), axis=0))
+    points = np.concatenate([*found, np.empty((0, 3))])
+    return np.asarray(points[np.abs(points[:, 2]) < reach])
+
+
+def _insert_heights(of: FaceFile) -> Floats:
+    """Points of the pixels of an insert's map."""
+    import numpy as np
+
+    from clacad.formats.maps.raster import read_tiff
+    from clacad.formats.maps.sag import NO_DATA
+    from clacad.storage.errors import UnreadableFile
+
+    map_, pixels = of.map(), read_tiff(of.path)
+    if pixels.shape != (map_.height, map_.width):
+        raise UnreadableFile(
+            f"{of.path.name}: {pixels.shape[1]} × {pixels.shape[0]} pixels, a map of {of.label} has"
+            f" {map_.width} × {map_.height}"
+        )
+    rows, columns = np.nonzero(np.asarray(pixels) != NO_DATA)
+    x = map_.origin[0] + map_.pixel * (columns + 0.5)
+    y = map_.origin[1] + map_.pixel * (map_.height - 0.5 - rows)
+    return np.stack(
+        [x, y, np.asarray(pixels, dtype=np.float64)[rows, columns] / of.scale + map_.reference], axis=1
+    )
+
+
+STEP_FINE, INSIDE = 1e-4, 0.6
+"""Distance of the facets through which a STEP file is sampled, in pitches; height over the block's that is
+searched for the cavity."""
 
 # -- tool points -----------------------------------------------------------------------------------
 
@@ -166,6 +263,17 @@ def _tool_of(of: FaceFile) -> ToolFace:
     from clacad.formats.maps.tool_path import ToolFace
 
     return ToolFace(of.window, of.face, 0.0, min(of.window.lattice.pitch))
+
+
+def _tool_surface(of: FaceFile) -> Floats:
+    """Surface points of a tool file, in the axes of the sheet."""
+    import numpy as np
+
+    from clacad.formats.maps.tool_path import read_tool
+
+    way, vertex = _tool_of(of).way, of.face.vertex[2]
+    points = np.concatenate([table[:, :3] for table in read_tool(of.path)]) / of.scale
+    return np.asarray(points * np.array([1.0, way, way]) + np.array([0.0, 0.0, vertex]))
 
 
 def _tool_misfit(of: FaceFile) -> Misfit:
@@ -244,6 +352,20 @@ def _dose_misfit(of: FaceFile) -> Misfit:
 
     worst, room, count = dose_of(of.map(), of.path).misfit(of.path)
     return worst, room, f"{count:,} levels of {of.label}"
+
+
+def _dose_surface(of: FaceFile) -> Floats:
+    """Points at the calibrated depths of a dose map."""
+    import numpy as np
+
+    from clacad.formats.maps.dose import dose_of
+
+    map_ = of.map()
+    height = map_.high - dose_of(map_, of.path).depths(of.path) / of.window.unit
+    x = map_.origin[0] + map_.pixel * (np.arange(map_.width) + 0.5)
+    y = map_.origin[1] + map_.pixel * (map_.height - 0.5 - np.arange(map_.height))
+    gx, gy = np.meshgrid(x, y)
+    return np.stack([gx.ravel(), gy.ravel(), (map_.reference - of.face.side * height).ravel()], axis=1)
 
 
 def _dose_table(window: Window, path: Any) -> Misfit:
@@ -354,8 +476,11 @@ FILES = (
 )
 
 READINGS = {
-    TOOL_POINTS: Reading(_tool_misfit),
-    **{word: Reading(_dose_misfit) for word in DOSE_ENDINGS},
+    INSERT_STEP: Reading(_insert_misfit(_step_points), points=_step_points),
+    INSERT_STL: Reading(_insert_misfit(_stl_points), points=_stl_points, room=1e-5),
+    INSERT_MAP: Reading(_insert_misfit(_insert_heights), points=_insert_heights),
+    TOOL_POINTS: Reading(_tool_misfit, points=_tool_surface),
+    **{word: Reading(_dose_misfit, points=_dose_surface) for word in DOSE_ENDINGS},
     DOSE_TABLE: Reading(sheet=_dose_table, unit=""),
 }
 """Kind of file → its comparison with the design."""

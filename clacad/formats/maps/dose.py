@@ -76,9 +76,9 @@ class Calibration:
         known = depth[np.isfinite(depth)]
         if known.size and not (depths[0] - SLACK <= known.min() and known.max() <= depths[-1] + SLACK):
             raise BadRequest(
-                f"{self.name}: depths of {1e6 * known.min():.6g} to {1e6 * known.max():.6g} um are wished, the"
-                f" calibration covers {1e6 * depths[0]:.6g} to {1e6 * depths[-1]:.6g} um; measure a coupon with"
-                " deeper levels, or design a flatter face"
+                f"{self.name}: depths of {1e6 * known.min():.6g} to {1e6 * known.max():.6g} um are wished,"
+                f" the calibration covers {1e6 * depths[0]:.6g} to {1e6 * depths[-1]:.6g} um; measure a"
+                " coupon with deeper levels, or design a flatter face"
             )
         above = np.clip(np.searchsorted(depths, depth), 1, len(depths) - 1)
         low, high = depths[above - 1], depths[above]
@@ -151,7 +151,7 @@ def _checked(path: Path, lines: list[int], pairs: list[tuple[float, float]]) -> 
     for number, (level, depth) in zip(lines, pairs, strict=True):
         if level != int(level) or not 0 <= level <= WORD:
             raise UnreadableFile(
-                f"{path.name}, line {number}: level {level:g}; levels are whole numbers of 0 to 255, or to {WORD}"
+                f"{path.name}, line {number}: level {level:g}; levels are whole, 0 to 255 or {WORD}"
             )
         if not 0.0 <= depth < 1.0:
             raise UnreadableFile(f"{path.name}, line {number}: a depth of {depth:g} m; 0 to 1 m is believed")
@@ -195,7 +195,7 @@ class DoseMap:
             yield np.where(held, level, 0), np.where(held, residual, 0.0)
 
     def write(self, path: Path) -> dict[str, Any]:
-        """Write a PNG or BMP by its name, of 16 bits where it says so; read it back; return its facts.
+        """Write a PNG or BMP by its name, of 16 bits where its name ends so; read it back; return its facts.
 
         Raises FileDisagrees: The file read back holds other levels.
         """
@@ -244,8 +244,8 @@ class DoseMap:
         levels, depths = self.calibration.steps(most)
         if found.min() < levels[0] or found.max() > levels[-1]:
             raise UnreadableFile(
-                f"{path.name}: levels of {found.min()} to {found.max()}; its calibration covers {levels[0]} to"
-                f" {levels[-1]}"
+                f"{path.name}: levels of {found.min()} to {found.max()}; its calibration covers {levels[0]}"
+                f" to {levels[-1]}"
             )
         deep = np.asarray(depths[found.astype(np.int64) - levels[0]])
         return deep[::-1] if self.map.face.side > 0 else deep
@@ -263,6 +263,7 @@ class DoseMap:
 
     def to_dict(self, scale: float) -> dict[str, Any]:
         """Calibration and scales of the pictures of a face; `scale`: millimetres per design unit."""
+        turned = ": turned by 180 degrees about x" if self.map.face.side > 0 else ""
         return {
             "calibration": self.calibration.name,
             "levels": self.calibration.levels.tolist(),
@@ -271,10 +272,8 @@ class DoseMap:
             "width": self.map.width,
             "height": self.map.height,
             "depth_0": "the highest point of the face",
-            "row_0": "top, the face seen from outside" + (
-                ": turned by 180 degrees about x" if self.map.face.side > 0 else ""
-            ),
-        }  # fmt: skip
+            "row_0": f"top, the face seen from outside{turned}",
+        }
 
 
 SLACK = 1e-12

@@ -77,7 +77,7 @@ class ToolFace:
         return inside
 
     def contact(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Points (n,) of the lens that the nose touches while its centre is over x, y (n,), by Newton's method."""
+        """Points (n,) of the lens that the nose touches with its centre over x, y : Newton's method."""
         h = STEP * min(self.window.lattice.pitch)
         p, q = x.copy(), y.copy()
         for _ in range(ROUNDS):
@@ -142,7 +142,7 @@ class ToolFace:
     # -- order -----------------------------------------------------------------------------------
 
     def places(self, order: Order) -> Iterator[tuple[Floats, Floats]]:
-        """Points of the sheet in the order of cutting, some at a time; points off the cells are among them."""
+        """Points of the sheet in the order of cutting, some at a time, those off the cells included."""
         x0, x1, y0, y1 = self.window.placements[self.array].extent(self.window.lattice)
         if order == "spiral":
             yield from self._spiral(0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * float(np.hypot(x1 - x0, y1 - y0)))
@@ -179,8 +179,8 @@ def tool_face(window: Window, face: Face, label: str, nose: float, step: float |
     off = max(abs(face.vertex[0]), abs(face.vertex[1]))
     if not window.uniform or not face.untilted or off > 1e-9 * min(pitch):
         raise NotPossible(
-            f"tool: {label} has lenses that are tilted, displaced in their cells or each of its own; points are"
-            " written for equal upright lenses in the middle of their cells"
+            f"tool: {label} has lenses that are tilted, displaced in their cells or each of its own; points"
+            " are written for equal upright lenses in the middle of their cells"
         )
     concave = [-r for r in principal_radii(face.surface) if r < 0.0]
     if concave and nose > min(concave):
@@ -213,7 +213,7 @@ def write_tool(tool: ToolFace, path: Path, scale: float, order: Order, label: st
         f"clacad tool points of {label}, unit mm, order {order}, nose {tool.nose * scale!r}",
         "face seen from outside, +z out of the material, z = 0 at the apexes"
         + (": the front turned by 180 degrees about x" if tool.way < 0.0 else ""),
-        "c: centre of the nose = surface + nose n; tip = centre - nose z; reachable 0: the centre leaves the cell",
+        "c: centre of the nose = surface + nose n; tip = centre - nose z; reachable 0: it leaves the cell",
         f"left at seams {left['seam'] * scale!r}, at corners {left['corner'] * scale!r}, not reached"
         f" {left['share']!r} of the area",
     ]
