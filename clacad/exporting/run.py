@@ -83,7 +83,7 @@ CAD_MODULES = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
 def run_export(design: Design, out: str, request: Request, progress: Progress | None) -> Manifest:
     """Do what `clacad.exporting.run.export` promises."""
     report = shown_progress(progress)
-    formats, request = _formats(request), _of_process(design, request)
+    asked, formats, request = request, _formats(request), _of_process(design, request)
     made = design if request.cells is None else design.with_cells(request.cells)
     _refuse_by_count(made, formats, request)
     began, used = time.monotonic(), time.process_time()
@@ -111,7 +111,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
             records, failures, seconds = _produced(job, meshes, rows)
             if not records:
                 raise next(iter(failures.values()))
-            content = _content(design, window, [*records, *copied_table(made, stage)], request)
+            content = _content(design, window, [*records, *copied_table(made, stage)], asked)
             content["files"] += carried_over(stage.folder, content)
             content["files"].sort(key=lambda entry: str(entry["name"]))
             facts = {

@@ -28,6 +28,9 @@ GRID = 0.05
 TURNS = np.radians(np.arange(-3.0, 3.01, 0.5))
 """Small turns that are tried with each quarter turn."""
 
+OUTLIER = 6.7
+"""Distance from the median, over the median distance, beyond which a point is none of its kind: 4.5 σ."""
+
 PRESENT = 0.5
 """Part of a field's blocks that must be measured."""
 
@@ -259,8 +262,8 @@ def _fields(name: str, coupon: Coupon, u: Floats, v: Floats, z: Floats) -> Itera
     half = 0.5 * coupon.side
     inner, land = off < INNER * half, (off > half) & (off < half + RING * coupon.side)
     for k, level in enumerate(coupon.levels):
-        mine = number == k
-        inside, around = (_blocks(coupon, u, v, z, mine & part) for part in (inner, land))
+        parts = [_without_outliers(z, (number == k) & part) for part in (inner, land)]
+        inside, around = (_blocks(coupon, u, v, z, part) for part in parts)
         whole = (INNER / BLOCK) ** 2
         if len(inside) < PRESENT * whole or len(around) < whole:
             raise NotMeasurable(
@@ -268,8 +271,16 @@ def _fields(name: str, coupon: Coupon, u: Floats, v: Floats, z: Floats) -> Itera
                 f" and {len(around)} of the land around were measured"
             )
         spread = [float(part.std(ddof=1)) / np.sqrt(len(part)) for part in (inside, around)]
-        middle = [float(z[mine & part].mean()) for part in (land, inner)]
-        yield middle[0] - middle[1], float(np.hypot(*spread))
+        low, high = (float(z[part].mean()) for part in parts)
+        yield high - low, float(np.hypot(*spread))
+
+
+def _without_outliers(z: Floats, of: Bools) -> Bools:
+    """Points near the median of their kind: dirt is left out, and pixels on the edge of a field."""
+    if not of.any():
+        return of
+    off = np.abs(z - np.median(z[of]))
+    return np.asarray(of & (off <= OUTLIER * float(np.median(off[of]))))
 
 
 def _blocks(coupon: Coupon, u: Floats, v: Floats, z: Floats, of: Bools) -> Floats:
