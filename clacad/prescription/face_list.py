@@ -10,24 +10,29 @@ thicknesses T_i and indices n_i of the layers,
     Σ T_i/n_i = s,    Σ (T_i/n_i)(Δn_i/n_i) = s/V.
 
 The first keeps the pair afocal at the design wavelength, f1 = s/(1 − η), f2 = −η f1 and R = (n − 1) f. The
-second keeps it afocal in both lines. It holds at every η, for both meridians have the same sum.
+second keeps it afocal in both lines. It holds at every η, for both meridians have the same sum. Conic
+constants are −1/n² at η = −1, where they make each face perfect on its axis; else those of the least law error.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from itertools import pairwise
-from math import asin
+from math import asin, tan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Pair2
 from clacad.design.faces import AIR, FaceSpec, face_table, vertices_of
 from clacad.design.sections import LAW, PAIR
+from clacad.optics.fit import AskedLight, law_residuals, minimise
 from clacad.optics.law import rotation
 from clacad.optics.material.catalogue import find
 from clacad.optics.material.material import Material
+from clacad.optics.rays import Rays
+from clacad.optics.sequence import Interface
 from clacad.optics.surface import Surface
 from clacad.optics.surface.sag_and_normal import other_side
 from clacad.prescription.assemble import assemble_window
@@ -226,6 +231,9 @@ def _number_of(faces: tuple[FaceSpec, ...], array: object) -> int:
 KEPT = ("wavelength", "vertex", "offset")
 """Keys of a slab of layers that its list of faces has, too."""
 
+LEAST_RAYS = 32
+"""Rays that reach the partner's cell from which conic constants are found; of 32 times as many."""
+
 PLASTIC = "achromat-plastic"
 """Starter with curved joints."""
 
@@ -250,19 +258,71 @@ def layered_faces(design: Design) -> tuple[FaceSpec, ...]:
     index = [float(one.index(pair.wavelength)) for one in (outer, inner)]
     share = inner_share(design, outer, inner)
     first, middle = 0.5 * (1.0 - share) * pair.separation * index[0], share * pair.separation * index[1]
-    conic = pair.conic or (-1.0 / index[0] ** 2, -1.0 / index[0] ** 2)
     focal = [thin_focal_lengths(eta, pair.separation) for eta in design.law_spec.eta]
     front, back = (
         (sign * (index[0] - 1.0) * focal[0][lens], sign * (index[0] - 1.0) * focal[1][lens])
         for lens, sign in ((0, 1.0), (1, -1.0))
     )
     flat: Pair2 = (float("inf"), float("inf"))
-    return (
+    conic = pair.conic or (-1.0 / index[0] ** 2, -1.0 / index[0] ** 2)
+    faces = (
         FaceSpec(front, conic, array=1, behind=pair.layers[0]),
         FaceSpec(flat, z=first, behind=pair.layers[1]),
         FaceSpec(flat, z=first + middle, behind=pair.layers[2]),
         FaceSpec(back, conic, z=2.0 * first + middle, array=2, behind=AIR),
     )
+    eta = design.law_spec.eta
+    if pair.conic is not None or eta == (-1.0, -1.0):
+        return faces
+    light = _own_light(eta, pair.separation, design.lattice.pitch, design.check.field)
+    return faces if light is None else _with_best_conics(faces, (index[0], index[1], index[0]), light)
+
+
+def _own_light(eta: Pair2, separation: float, pitch: Pair2, field: float) -> AskedLight | None:
+    """Rays of a cone over a cell (lens axes) that reach the partner, and their directions by t/η."""
+    u = sobol(LEAST_RAYS * 32, 4)
+    place = (u[:, :2] - 0.5) * pitch
+    turn = 2.0 * np.pi * u[:, 3]
+    slope = tan(field) * np.sqrt(u[:, 2:3]) * np.column_stack([np.cos(turn), np.sin(turn)])
+    kept = (np.abs(place * eta + separation * slope) <= 0.5 * np.asarray(pitch)).all(axis=1)
+    if kept.sum() < LEAST_RAYS:
+        return None
+    place, slope, one = place[kept], slope[kept], np.ones((int(kept.sum()), 1))
+    back = max(pitch)
+    start = np.column_stack([place - back * slope, np.full(len(one), -back)])
+    asked = np.hstack([slope / np.asarray(eta), one])
+    return AskedLight.of(Rays(start, np.hstack([slope, one])), asked / np.linalg.norm(asked, axis=1)[:, None])
+
+
+def _with_best_conics(
+    faces: tuple[FaceSpec, ...], index: tuple[float, ...], light: AskedLight
+) -> tuple[FaceSpec, ...]:
+    """The faces with the conic constants of the outer ones, to 6 digits, that follow the law best.
+
+    index : of each layer
+    """
+
+    def changed(conics: Floats) -> tuple[FaceSpec, ...]:
+        k = conics.tolist()
+        first, last = replace(faces[0], conic=(k[0], k[1])), replace(faces[-1], conic=(k[2], k[3]))
+        return (first, *faces[1:-1], last)
+
+    def residuals(conics: Floats) -> Floats:
+        return law_residuals(_sequence(changed(conics), index), light)
+
+    found = minimise(residuals, np.array([*faces[0].conic, *faces[-1].conic]))
+    return changed(np.array([float(f"{value:.6g}") for value in found]))
+
+
+def _sequence(faces: tuple[FaceSpec, ...], index: tuple[float, ...]) -> list[Interface]:
+    """Faces on one axis, with the indices of the media between them."""
+    media = (1.0, *index, 1.0)
+    return [
+        Interface(surface_of(face, 1 if number == 0 else -1), (0.0, 0.0, z), before, after)
+        for number, (face, z, before, after) in enumerate(
+            zip(faces, vertices_of(faces), media[:-1], media[1:], strict=True)
+        )
+    ]
 
 
 def inner_share(design: Design, outer: Material, inner: Material) -> float:

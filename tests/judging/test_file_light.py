@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from filesonly import only_files
 from oracle.plain_mesh import facets, write_stl
 
 from clacad.design import Design
+from clacad.design.starter_designs import template
 from clacad.exporting.roles import Role
 from clacad.exporting.run import export
 from clacad.formats.maps.sag import read_points
@@ -37,6 +40,9 @@ SLAB = Design.from_dict({
     "pair": {"form": "slab", "separation": 10.0, "index": 1.5}, "lattice": {"pitch": 0.5, "count": [5, 5]},
 })  # fmt: skip
 RAYS = 8192
+SAMPLES = json.loads((Path(__file__).parents[1] / "data" / "plates.json").read_text(encoding="utf-8"))[
+    "cases"
+]
 
 
 def through(window, slide):
@@ -308,3 +314,22 @@ def test_a_bare_scan_of_the_middle_cell_is_lit_there(tmp_path, monkeypatch):
     lit = next(c for c in report.checks if c.id == "file_law_rms")
     assert tuple(lit.detail["cells"][0]) == central_cell(window)
     assert bundle(window, 16, 0.01).cell == central_cell(window)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cells", [8, pytest.param(200, marks=pytest.mark.long)])
+def test_a_step_of_silica_on_flint_keeps_to_the_law_in_white_light(tmp_path, cells, monkeypatch):
+    """Another program leaves .0253 mrad by the same faces; a wrong medium in one body would leave .1 and more."""
+    only_files(monkeypatch)
+    design = Design.from_dict(tomllib.loads(template("day", "achromat"))).with_cells((cells, cells))
+    (entry,) = export(design, tmp_path / "out", ("step",)).files
+    assert (len(entry["bodies"]), entry["role"]) == (3, "optical-master")
+    report = verify(design, tmp_path / "out", rays=RAYS)
+    checks = {check.id: check for check in report.checks if check.where == "file"}
+    white, lines = checks["file_law_white"], checks["file_law_white"].detail["lines"]
+    assert (white.state, white.limit, white.required) == ("pass", pytest.approx(0.028e-3), True)
+    assert 1e3 * white.value == pytest.approx(0.0253, rel=0.02)
+    wanted = next(case for case in SAMPLES if "Silica|N-SF6" in case["name"])["results"][0]["law_rms_mrad"]
+    assert [1e3 * value for value in lines.values()] == pytest.approx(list(wanted.values()), rel=0.04)
+    assert [checks[name].state for name in ("solids", "shape", "volume")] == ["pass"] * 3
+    assert float(checks["faithful_rms"].value) < 1e-12

@@ -16,12 +16,13 @@ from clacad.exporting.roles import Holding
 from clacad.mesh import tessellate
 from clacad.sheet.bundle import bundle
 from clacad.sheet.window import lens_height_and_normal
+from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.accuracy import accuracy_plot
 from clacad.verification.accuracy.accuracy_plot import plot_svg
 from clacad.verification.accuracy.accuracy_table import AccuracyRow, AccuracyTable, TargetOutOfReach, accuracy
 from clacad.verification.accuracy.extended_precision import direction_errors
 from clacad.verification.accuracy.file_floors import EXACT, FAMILIES, Floor, family_floor, probe, rounded
-from clacad.verification.accuracy.measure_rungs import TracedRays, _compared, step_row
+from clacad.verification.accuracy.measure_rungs import TracedRays, _compared, spectrum_cost, step_row
 
 
 @pytest.fixture(scope="module")
@@ -403,3 +404,20 @@ def test_no_label_of_the_plot_lies_on_another_or_on_a_curve_and_legends_lie_besi
     assert not any(box.overlaps(axes.get_legend().get_window_extent(drawer)) for axes in (left, right))
     assert box.x0 > 0.0
     assert box.x1 < figure.bbox.x1
+
+
+def test_one_line_against_the_spectrum_has_its_cost_and_the_numbers_of_check():
+    """Closed form next to the trace; the mean over the lines is that of another program (.293 mrad at 1 degree)."""
+    sheet = clacad.load("window-100mm").with_cells((20, 20))
+    window = clacad.prescribe(sheet)
+    cell, lit = worst_cell(window, sheet.check.field), bundle(window, 16384, sheet.check.field)
+    cost = spectrum_cost(sheet, cell, lit)
+    assert cost.lines == 4
+    assert 1e3 * cost.law_white == pytest.approx(0.293, rel=0.01)
+    assert cost.closed_change == pytest.approx(cost.change, rel=0.03)
+    assert min(cost.one_line_s, cost.traced_s, cost.closed_s) > 0.0
+    assert cost.sentence().startswith("one line against the spectrum: 4 lines take ")
+    assert f"{cost.traced_s / cost.one_line_s:.2g} × one line" in cost.sentence()
+    assert spectrum_cost(sheet.replace("light.spectrum", "photopic"), cell, lit).lines == 5
+    bare = clacad.load("paper-base")
+    assert spectrum_cost(bare, worst_cell(clacad.prescribe(bare), 0.0), lit) is None
