@@ -19,7 +19,7 @@ from clacad.base.types import Floats
 from clacad.checks.check import Check
 from clacad.checks.scan_kinds import MADE_LIGHT, MADE_SEAM, MADE_TEXTURE
 from clacad.light.measure import Light, measure
-from clacad.making.made_surface import MadeSurface, made_face, made_surface, read_curve
+from clacad.making.made_surface import Lenslet, MadeSurface, made_face, made_surface, read_curve
 from clacad.making.process import Process, process_of
 from clacad.making.texture import texture_of, texture_phase
 from clacad.measuring.light_through_form import PHASE
@@ -46,7 +46,7 @@ TRIAL_RAYS = 1024
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """The faces of one cell as made, ready for light; `window` is the sheet as designed, of equal cells."""
+    """The faces of one cell as made, ready for light; `window` is the sheet as designed, uniform."""
 
     window: Window
     process: Process
@@ -54,7 +54,7 @@ class Made:
 
     @staticmethod
     def of(window: Window, process: Process, curve: str | None = None) -> Made:
-        """Prepare every face of a sheet of equal cells.
+        """Prepare every face of a sheet of identical cells.
 
         curve : Path of the table of `process.curve`.
         Raises NotPossible.
@@ -116,7 +116,7 @@ class Made:
 
 
 @dataclass(frozen=True, slots=True)
-class AsMade:
+class LightAsMade:
     """Numbers of light through a sheet as designed and as made.
 
     Parameters
@@ -186,7 +186,9 @@ class AsMade:
         return plain_
 
 
-def light_as_made(design: Design, window: Window, rays: int = RAYS, process: Process | None = None) -> AsMade:
+def light_as_made(
+    design: Design, window: Window, rays: int = RAYS, process: Process | None = None
+) -> LightAsMade:
     """Measure light through a sheet as its process makes it.
 
     Parameters
@@ -194,13 +196,13 @@ def light_as_made(design: Design, window: Window, rays: int = RAYS, process: Pro
     design : Design
         Gives the field, and the process where none is given.
     window : Window
-        Sheet of equal cells, or the uniform equivalent of one cell.
+        Sheet of identical cells, or the uniform equivalent of one cell.
     rays : int
     process : Process or None
 
     Returns
     -------
-    AsMade
+    LightAsMade
 
     Raises
     ------
@@ -220,7 +222,7 @@ def light_as_made(design: Design, window: Window, rays: int = RAYS, process: Pro
     ideal, _ = _lit(design, Made.of(window, Process()), rays)
     formed, everything = _lit(design, made_of(design, window, chosen), rays)
     texture, phase, kept = _texture(window, chosen)
-    return AsMade(
+    return LightAsMade(
         chosen,
         ideal.rms,
         formed.rms,
@@ -236,7 +238,7 @@ def light_as_made(design: Design, window: Window, rays: int = RAYS, process: Pro
 
 
 def made_of(design: Design, window: Window, process: Process | None = None) -> Made:
-    """Prepare a sheet of equal cells as made; the table of `process.curve` lies next to the design.
+    """Prepare a sheet of identical cells as made; the table of `process.curve` lies next to the design.
 
     Raises NotPossible.
     """
@@ -269,7 +271,7 @@ def _texture(window: Window, process: Process) -> tuple[float, float, float]:
     for body in window.bodies:
         for face in (body.front, body.back):
             if face.array is not None:
-                low, high = MadeSurface(window, face, process).span
+                low, high = Lenslet(window, face).span
                 texture = texture_of(process, (high - low) * window.unit)
                 found.append((texture, texture_phase(texture, body.index, wave)))
     total = sum(phase * phase for _, phase in found)
@@ -306,7 +308,7 @@ class Cost:
 class JudgedAsMade:
     """A design as made: its numbers, checks, and what each parameter of the process costs."""
 
-    light: AsMade
+    light: LightAsMade
     checks: tuple[Check, ...]
     costs: tuple[Cost, ...]
 
@@ -367,7 +369,7 @@ def judge_as_made(design: Design, window: Window, rays: int = RAYS) -> JudgedAsM
     return JudgedAsMade(found, _checks(design, found, seen.words), tuple(_costs(design, seen.like, found)))
 
 
-def _checks(design: Design, found: AsMade, cell: str) -> tuple[Check, ...]:
+def _checks(design: Design, found: LightAsMade, cell: str) -> tuple[Check, ...]:
     """Three checks: error, rounded share, texture."""
     spec, name = design.check, found.process.name
     start = f"{cell}: " if cell else ""
@@ -394,7 +396,7 @@ def _checks(design: Design, found: AsMade, cell: str) -> tuple[Check, ...]:
     )
 
 
-def _costs(design: Design, window: Window, found: AsMade) -> Iterator[Cost]:
+def _costs(design: Design, window: Window, found: LightAsMade) -> Iterator[Cost]:
     """Cost of each parameter of the process, each alone on the sheet as designed."""
     process, spec = found.process, design.check
     limit = spec.law_rms

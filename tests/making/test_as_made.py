@@ -62,7 +62,8 @@ def test_light_as_made_is_that_of_an_independent_trace(case, sheets):
     rays = 65536 if case["case"] == "nose" else 16384  # few rays meet a rounding
     made = light_as_made(*sheets[case["design"]], rays, process_in(case))
     assert close(made.formed, 1e-3 * case["law_rms_formed_mrad"])
-    assert close(made.everything, 1e-3 * case["law_rms_all_mrad"])
+    # some 1500 of the 65536 recorded rays of fs01 met a rounding: 2.5 % is their own statistical error
+    assert made.everything == pytest.approx(1e-3 * case["law_rms_all_mrad"], rel=0.03)
     assert made.share_formed == pytest.approx(case["share_formed"], abs=3e-3)
     assert made.share_formed + made.share_rounded == pytest.approx(case["share_alive"], abs=3e-3)
 
@@ -186,8 +187,8 @@ def test_a_face_that_is_hardly_no_sphere_is_closed_as_a_sphere(sheets):
     other = replace(face, surface=Biconic(curvature, curvature, 1e-9, 1e-9))
     x, y = np.random.default_rng(1).uniform(-0.25, 0.25, (2, 4000))
     exact, sampled = (MadeSurface(window, one, Process(nose=5e-5)) for one in (face, other))
-    assert exact.sphere is not None
-    assert sampled.sphere is None
+    assert exact.lens.sphere is not None
+    assert sampled.lens.sphere is None
     for one, two, off in zip(exact(x, y), sampled(x, y), (1e-7, 2e-3, 2e-3), strict=True):
         np.testing.assert_allclose(one, two, atol=off)
 
@@ -219,7 +220,7 @@ def test_a_straight_table_is_no_table_and_a_bent_one_is_a_power(sheets, tmp_path
     _, window = sheets["window"]
     face = window.bodies[0].front
     plain = MadeSurface(window, face, Process())
-    deep = 1e3 * (plain.span[1] - plain.span[0])  # micrometres
+    deep = 1e3 * (plain.lens.span[1] - plain.lens.span[0])  # micrometres
     x, y = np.random.default_rng(2).uniform(-0.2, 0.2, (2, 300))
     level = np.arange(0, 256)
     for power, atol in ((1.0, 1e-14), (1.1, 2e-6)):
@@ -227,8 +228,8 @@ def test_a_straight_table_is_no_table_and_a_bent_one_is_a_power(sheets, tmp_path
         rows = [f"{one},{float(deep * (one / 255) ** power)!r}" for one in level]
         path.write_text("\n".join(["level,depth_um", *rows]), encoding="utf-8")
         made = MadeSurface(window, face, Process(curve="x"), read_curve(str(path)))
-        share = (plain(x, y)[0] - face.vertex[2]) / (plain.span[1] - plain.span[0])
-        wanted = face.vertex[2] + (plain.span[1] - plain.span[0]) * share**power
+        share = (plain(x, y)[0] - face.vertex[2]) / (plain.lens.span[1] - plain.lens.span[0])
+        wanted = face.vertex[2] + (plain.lens.span[1] - plain.lens.span[0]) * share**power
         np.testing.assert_allclose(made(x, y)[0], wanted, atol=atol)
 
 
@@ -308,7 +309,7 @@ def test_gamma_towards_one_is_a_power_of_fifty_digits(excess, sheets):
     face = window.bodies[0].front
     gamma = 1.0 + excess
     made = MadeSurface(window, face, Process(gamma=gamma))
-    low, high = (MP.mpf(one) for one in made.span)
+    low, high = (MP.mpf(one) for one in made.lens.span)
     x = np.array([0.17])
     lens = MP.mpf(MadeSurface(window, face, Process()).lens(x, x)[0][0])
     u = (lens - low) / (high - low)
@@ -372,6 +373,16 @@ def test_profiles_state_what_they_leave_with_a_source():
     assert (printed.thickness, printed.shrinkage[2]) == (0.0, 0.02)
 
 
+def test_a_table_that_is_not_there_is_named(capsys, tmp_path):
+    path = tmp_path / "window.toml"
+    path.write_text(
+        clacad.load("window-100mm", ["lattice.count = [4, 4]"]).canonical_toml(), encoding="utf-8"
+    )
+    assert main(["check", str(path), "--as-made", "--set", 'process.curve="none.csv"']) == 2
+    assert "none.csv: process.curve cannot be read" in capsys.readouterr().err
+
+
+@pytest.mark.slow
 def test_check_prints_the_sheet_as_made(capsys, tmp_path):
     path = tmp_path / "window.toml"
     path.write_text(
@@ -383,8 +394,6 @@ def test_check_prints_the_sheet_as_made(capsys, tmp_path):
     assert told["as_made"]["process"]["nose"] == 25e-6
     assert {"made_light", "made_seam", "made_texture"} <= {one["id"] for one in told["checks"]}
     assert any("process.nose costs most light" in one for one in told["as_made"]["advice"])
-    assert main(["check", str(path), "--as-made", "--set", 'process.curve="none.csv"']) == 2
-    assert "none.csv: process.curve cannot be read" in capsys.readouterr().err
 
 
 @pytest.mark.slow
