@@ -474,7 +474,7 @@ FORMATS = (
         "part",
         "coupon that calibrates a dose: 17 fields of one level each, PNG and JSON",
         _write_wedge,
-        lambda _meshes, _quads, _asked: map_row(WEDGE, 9000, BASE),
+        lambda _meshes, _quads, _asked: map_row(WEDGE, 3900, BASE),
         lambda _sheet, _quads, _asked: BASE,
         optical=False,
         stored=(NO_SURFACE,),
