@@ -279,11 +279,10 @@ def _tooling_kind(subject: Subject) -> FileKind | None:
     """Kind of a file that makes the part, by its manifest or its name; None for one without a face in it."""
     word = kind_named(subject.name) if not subject.entry else ""
     kind = kind_of(word) if word else subject.kind or kind_ending(subject.name)
-    if kind is None or (
-        kind.family == "map" and kind.reading.points is None and kind.reading.samples is None
-    ):
+    if kind is None or kind.family == "other":
         return None
-    return kind if kind.family in ("mesh", "solid", "map") else None
+    held = kind.family != "map" or kind.reading.points is not None or kind.reading.samples is not None
+    return kind if held else None
 
 
 def _judge_tooling(

@@ -108,7 +108,7 @@ def is_insert(word: str) -> bool:
 def surface_misfit(of: FaceFile, points: Floats) -> Floats:
     """Distances (m,) along z of points from the face of a file's window, lengths; NaN off its cells.
 
-    NaN too on borders with a step, where a point belongs to either cell: of tilted lenses, or each of its own.
+    NaN too on borders with a step, where a point belongs to either cell: of tilted or differing lenses.
     """
     import numpy as np
 
