@@ -22,6 +22,7 @@ from clacad.cli.option_values import (
     parse_distance,
     parse_slope_error,
     per_format,
+    typed,
     words_of,
 )
 
@@ -134,7 +135,9 @@ def _export(given: Export, design: Design, request: Request, console: Console) -
         files = files_text(manifest.files, design.check.of_light[0])
         return f"{design.name}\n{derived}\nfiles in {manifest.folder}\n{files}\nnext: {following}"
 
-    following = f"clacad verify {given.design} --files {given.out} -o {given.out / 'report'}"
+    cells = () if given.cells is None else ("--cells", "x".join(map(str, given.cells)))
+    where = "--files", given.out, "-o", given.out / "report"
+    following = typed("verify", given.design, *cells, *where, changes=given.set)
     console.show(lambda: dict(manifest.document), text, lambda: _brief(design, manifest, following))
     return 0
 

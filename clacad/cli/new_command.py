@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, Overridden, dry_run_option, flag, option, overwrite_option
 from clacad.cli.console import Console, say, table
-from clacad.cli.option_values import BadOption
+from clacad.cli.option_values import BadOption, typed
 
 if TYPE_CHECKING:
     from clacad.advice.proposal import Proposal
@@ -119,16 +119,12 @@ def _from_template(request: New, target: Path, console: Console) -> int:
     if not request.dry_run:
         with _place(target, overwrite=request.overwrite) as write:
             write(text)
-    out = target.with_suffix("")
     console.show(
         lambda: {"path": str(target), "template": template, "text": text, "written": not request.dry_run},
         lambda: (
             text.rstrip("\n")
             if request.dry_run
-            else (
-                f"wrote {target}\nnext: clacad check {target}\n      clacad export {target} -o {out} --format"
-                " step"
-            )
+            else (f"wrote {target}\nnext: {typed('check', target)}\n      {_following(target)[0]}")
         ),
     )
     return 0
@@ -185,7 +181,7 @@ def _text(found: Proposal, target: Path) -> str:
 def _following(target: Path) -> tuple[str, str]:
     """Commands that make the design and judge its files."""
     out = target.with_suffix("")
-    return f"clacad export {target} -o {out} --format step", f"clacad verify {target} --files {out}"
+    return typed("export", target, "-o", out, "--format", "step"), typed("verify", target, "--files", out)
 
 
 def _brief(found: Proposal, target: Path) -> Brief:
