@@ -12,7 +12,7 @@ from clacad.base.text import mrad_text, pair_text, percent_text, short_size_text
 from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option, required
 from clacad.cli.console import Console, show_text, table
-from clacad.cli.option_values import BadOption, cell_option, load_counted, load_design, typed
+from clacad.cli.option_values import BadOption, cell_option, command_line, load_counted, load_design
 
 if TYPE_CHECKING:
     from clacad.advice import Advice, Fixed, Judged
@@ -101,9 +101,11 @@ def _brief(judged: Judged, forecast: list[dict[str, Any]], advice: Advice, reque
     ]
     free = [] if advice.sharper is None else [("free", f"  free     {advice.sharper}")]
     path, changes = request.design, request.set
-    following = typed("check", path, "--fix", "-o", f"{path.stem}-fixed.toml", changes=changes)
+    following = command_line("check", path, "--fix", "-o", f"{path.stem}-fixed.toml", changes=changes)
     if judged.passes:
-        following = typed("export", path, "-o", f"exports/{path.stem}", "--format", "step", changes=changes)
+        following = command_line(
+            "export", path, "-o", f"exports/{path.stem}", "--format", "step", changes=changes
+        )
     return Brief(
         f"{design.name}: {word}",
         (facts(rows), [*problems(judged.checks, advice.of), *free]),
@@ -255,14 +257,14 @@ def _show_fixed(fixed: Fixed, written: Path | None, console: Console) -> int:
     blocks += [f"changed\n{table(fixed.rows())}"] if fixed.changes else []
     blocks.append(str(fixed))
     if written is not None:
-        blocks.append(f"wrote {written}\nnext: {typed('export', written, *OUT)}")
+        blocks.append(f"wrote {written}\nnext: {command_line('export', written, *OUT)}")
     path = None if written is None else str(written)
 
     def brief() -> Brief:
         from clacad.cli.tables import problems
 
         rows = [facts(fixed.rows()), [] if fixed.judged is None else problems(fixed.judged.checks)]
-        following = () if path is None else (typed("export", path, *OUT),)
+        following = () if path is None else (command_line("export", path, *OUT),)
         word = str(fixed)
         made = [("file", f"  wrote {path}")] if path is not None else []
         return Brief(f"{name}: {word}", (*rows, made), following, word)

@@ -13,6 +13,7 @@ from clacad.cli.command import Command, OfDesign, declared, dry_run_option, opti
 from clacad.cli.console import Console, Progress, say
 from clacad.cli.option_values import (
     BadOption,
+    command_line,
     load_design,
     one_of,
     parse_angle,
@@ -22,7 +23,6 @@ from clacad.cli.option_values import (
     parse_distance,
     parse_slope_error,
     per_format,
-    typed,
     words_of,
 )
 
@@ -137,7 +137,7 @@ def _export(given: Export, design: Design, request: Request, console: Console) -
 
     cells = () if given.cells is None else ("--cells", "x".join(map(str, given.cells)))
     where = "--files", given.out, "-o", given.out / "report"
-    following = typed("verify", given.design, *cells, *where, changes=given.set)
+    following = command_line("verify", given.design, *cells, *where, changes=given.set)
     console.show(lambda: dict(manifest.document), text, lambda: _brief(design, manifest, following))
     return 0
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, Overridden, dry_run_option, flag, option, overwrite_option
 from clacad.cli.console import Console, say, table
-from clacad.cli.option_values import BadOption, typed
+from clacad.cli.option_values import BadOption, command_line
 
 if TYPE_CHECKING:
     from clacad.advice.proposal import Proposal
@@ -124,7 +124,7 @@ def _from_template(request: New, target: Path, console: Console) -> int:
         lambda: (
             text.rstrip("\n")
             if request.dry_run
-            else (f"wrote {target}\nnext: {typed('check', target)}\n      {_following(target)[0]}")
+            else (f"wrote {target}\nnext: {command_line('check', target)}\n      {_following(target)[0]}")
         ),
     )
     return 0
@@ -181,7 +181,9 @@ def _text(found: Proposal, target: Path) -> str:
 def _following(target: Path) -> tuple[str, str]:
     """Commands that make the design and judge its files."""
     out = target.with_suffix("")
-    return typed("export", target, "-o", out, "--format", "step"), typed("verify", target, "--files", out)
+    return command_line("export", target, "-o", out, "--format", "step"), command_line(
+        "verify", target, "--files", out
+    )
 
 
 def _brief(found: Proposal, target: Path) -> Brief:

@@ -43,7 +43,7 @@ def load_design(path: Path, overrides: tuple[str, ...]) -> Design:
     return load(path, overrides)
 
 
-def typed(word: str, design: Path | str, *rest: Path | str, changes: tuple[str, ...] = ()) -> str:
+def command_line(word: str, design: Path | str, *rest: Path | str, changes: tuple[str, ...] = ()) -> str:
     """A command of clacad as it is typed in a shell, with its --set KEY=VALUE options."""
     options = [part for change in changes for part in ("--set", change)]
     return shlex.join(["clacad", word, *map(str, [design, *options, *rest])])

@@ -20,11 +20,11 @@ from clacad.cli.command import (
 from clacad.cli.console import Console
 from clacad.cli.option_values import (
     BadOption,
+    command_line,
     parse_angle,
     parse_cells,
     parse_design_file,
     parse_distance,
-    typed,
 )
 
 if TYPE_CHECKING:
@@ -105,8 +105,10 @@ def run(request: ShapeBeam, console: Console) -> int:
     head, *lines = _lines(design, found, seen, distance)
     console.show(
         lambda: _document(design, found, seen) | {"files": [str(path) for path in paths]},
-        lambda: "\n".join([head, *lines, written, f"next: {typed('image', out)}"]),
-        lambda: Brief(head, ([*(("", line) for line in lines), ("files", written)],), (typed("image", out),)),
+        lambda: "\n".join([head, *lines, written, f"next: {command_line('image', out)}"]),
+        lambda: Brief(
+            head, ([*(("", line) for line in lines), ("files", written)],), (command_line("image", out),)
+        ),
     )
     return 0
 
