@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from measuring.test_calibrate import scanned
 from trust.running import TINY
 
 from clacad.checks.check import kinds
@@ -88,8 +89,8 @@ SLOW = [
     "atlas --rows F1 --out atlas --size 32 --samples 1 --no-movies", "export slab.toml -o out --format step,3mf,glb", "optimise slab.toml -o better.toml --compare page.html",
     "new wished --for eta=-1,width=5mm,viewing=1m",
 ]  # fmt: skip
-CHECKED = {"check", "schema"}
-"""Commands of a test of their own, and the one whose result is a JSON document."""
+CHECKED = {"check", "schema", "calibrate"}
+"""Commands of tests of their own, and the one whose result is a JSON document."""
 
 
 def test_every_command_is_among_those_that_fit() -> None:
@@ -133,6 +134,13 @@ def test_check_begins_and_ends_with_the_verdict(design: str, folder: Path, capsy
     following = next(line for line in lines if line.startswith("next: clacad "))
     assert f"{design}.toml --set 'law.delta=[0, 0]'" in following
     assert ("--fix" in following) == bool(status)
+
+
+def test_a_calibration_fits(folder: Path, capsys) -> None:
+    np.save(folder / "wedge.npy", scanned(0.01))
+    (folder / "wedge.npy.json").write_text('{"pixel_um": 4, "z_step_um": 1e6, "row_0": "bottom"}')
+    lines = fits(result(capsys, "calibrate", "wedge.npy", "-o", "dose.csv"))
+    assert any("17 levels" in line for line in lines)
 
 
 @pytest.mark.slow
