@@ -101,7 +101,7 @@ def _brief(judged: Judged, forecast: list[dict[str, Any]], advice: Advice, reque
     ]
     free = [] if advice.sharper is None else [("free", f"  free     {advice.sharper}")]
     path, changes = request.design, request.set
-    following = command_line("check", path, "--fix", "-o", f"{path.stem}-fixed.toml", changes=changes)
+    following = command_line("clacad check", path, "--fix", "-o", f"{path.stem}-fixed.toml", changes=changes)
     if judged.passes:
         following = command_line(
             "export", path, "-o", f"exports/{path.stem}", "--format", "step", changes=changes
@@ -257,14 +257,14 @@ def _show_fixed(fixed: Fixed, written: Path | None, console: Console) -> int:
     blocks += [f"changed\n{table(fixed.rows())}"] if fixed.changes else []
     blocks.append(str(fixed))
     if written is not None:
-        blocks.append(f"wrote {written}\nnext: {command_line('export', written, *OUT)}")
+        blocks.append(f"wrote {written}\nnext: {command_line('clacad export', written, *OUT)}")
     path = None if written is None else str(written)
 
     def brief() -> Brief:
         from clacad.cli.tables import problems
 
         rows = [facts(fixed.rows()), [] if fixed.judged is None else problems(fixed.judged.checks)]
-        following = () if path is None else (command_line("export", path, *OUT),)
+        following = () if path is None else (command_line("clacad export", path, *OUT),)
         word = str(fixed)
         made = [("file", f"  wrote {path}")] if path is not None else []
         return Brief(f"{name}: {word}", (*rows, made), following, word)

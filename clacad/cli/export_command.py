@@ -137,7 +137,7 @@ def _export(given: Export, design: Design, request: Request, console: Console) -
 
     cells = () if given.cells is None else ("--cells", "x".join(map(str, given.cells)))
     where = "--files", given.out, "-o", given.out / "report"
-    following = command_line("verify", given.design, *cells, *where, changes=given.set)
+    following = command_line("clacad verify", given.design, *cells, *where, changes=given.set)
     console.show(lambda: dict(manifest.document), text, lambda: _brief(design, manifest, following))
     return 0
 

@@ -124,7 +124,7 @@ def _from_template(request: New, target: Path, console: Console) -> int:
         lambda: (
             text.rstrip("\n")
             if request.dry_run
-            else (f"wrote {target}\nnext: {command_line('check', target)}\n      {_following(target)[0]}")
+            else (f"wrote {target}\nnext: {command_line('clacad check', target)}\n      {_following(target)[0]}")
         ),
     )
     return 0
@@ -181,7 +181,7 @@ def _text(found: Proposal, target: Path) -> str:
 def _following(target: Path) -> tuple[str, str]:
     """Commands that make the design and judge its files."""
     out = target.with_suffix("")
-    return command_line("export", target, "-o", out, "--format", "step"), command_line(
+    return command_line("clacad export", target, "-o", out, "--format", "step"), command_line(
         "verify", target, "--files", out
     )
 

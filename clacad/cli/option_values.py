@@ -43,10 +43,10 @@ def load_design(path: Path, overrides: tuple[str, ...]) -> Design:
     return load(path, overrides)
 
 
-def command_line(word: str, design: Path | str, *rest: Path | str, changes: tuple[str, ...] = ()) -> str:
-    """A command of clacad as it is typed in a shell, with its --set KEY=VALUE options."""
+def command_line(start: str, design: Path | str, *rest: Path | str, changes: tuple[str, ...] = ()) -> str:
+    """A command as it is typed in a shell: its first words, a design, --set KEY=VALUE options, and the rest."""
     options = [part for change in changes for part in ("--set", change)]
-    return shlex.join(["clacad", word, *map(str, [design, *options, *rest])])
+    return shlex.join([*start.split(), *map(str, [design, *options, *rest])])
 
 
 def load_counted(path: Path, overrides: tuple[str, ...]) -> Design:

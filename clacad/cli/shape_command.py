@@ -107,7 +107,7 @@ def run(request: ShapeBeam, console: Console) -> int:
         lambda: _document(design, found, seen) | {"files": [str(path) for path in paths]},
         lambda: "\n".join([head, *lines, written, f"next: {command_line('image', out)}"]),
         lambda: Brief(
-            head, ([*(("", line) for line in lines), ("files", written)],), (command_line("image", out),)
+            head, ([*(("", line) for line in lines), ("files", written)],), (command_line("clacad image", out),)
         ),
     )
     return 0

@@ -211,7 +211,7 @@ def _solve(request: StackSheets, console: Console) -> int:
     able = "not possible with these sheets" if best is None else solved_text(best, wanted, unit)
     head = f"{wanted.name}: {able}"
     rows = [row for count, one in found.items() for row in rows_of(count, one, unit)]
-    following = () if best is None or request.out is None else (command_line("stack", request.out),)
+    following = () if best is None or request.out is None else (command_line("clacad stack", request.out),)
     console.show(
         lambda: report_of(found, wanted, unit),
         lambda: f"{head}\n{table(rows)}\nwrote {written}",
