@@ -104,7 +104,7 @@ def _brief(judged: Judged, forecast: list[dict[str, Any]], advice: Advice, reque
     following = command_line("clacad check", path, "--fix", "-o", f"{path.stem}-fixed.toml", changes=changes)
     if judged.passes:
         following = command_line(
-            "export", path, "-o", f"exports/{path.stem}", "--format", "step", changes=changes
+            "clacad export", path, "-o", f"exports/{path.stem}", "--format", "step", changes=changes
         )
     return Brief(
         f"{design.name}: {word}",

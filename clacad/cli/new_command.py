@@ -119,12 +119,13 @@ def _from_template(request: New, target: Path, console: Console) -> int:
     if not request.dry_run:
         with _place(target, overwrite=request.overwrite) as write:
             write(text)
+    checking = command_line("clacad check", target)
     console.show(
         lambda: {"path": str(target), "template": template, "text": text, "written": not request.dry_run},
         lambda: (
             text.rstrip("\n")
             if request.dry_run
-            else (f"wrote {target}\nnext: {command_line('clacad check', target)}\n      {_following(target)[0]}")
+            else ("\n      ".join([f"wrote {target}\nnext: {checking}", _following(target)[0]]))
         ),
     )
     return 0
@@ -182,7 +183,7 @@ def _following(target: Path) -> tuple[str, str]:
     """Commands that make the design and judge its files."""
     out = target.with_suffix("")
     return command_line("clacad export", target, "-o", out, "--format", "step"), command_line(
-        "verify", target, "--files", out
+        "clacad verify", target, "--files", out
     )
 
 

@@ -44,7 +44,7 @@ def load_design(path: Path, overrides: tuple[str, ...]) -> Design:
 
 
 def command_line(start: str, design: Path | str, *rest: Path | str, changes: tuple[str, ...] = ()) -> str:
-    """A command as it is typed in a shell: its first words, a design, --set KEY=VALUE options, and the rest."""
+    """A command as it is typed in a shell: first words, a design, --set KEY=VALUE options, the rest."""
     options = [part for change in changes for part in ("--set", change)]
     return shlex.join([*start.split(), *map(str, [design, *options, *rest])])
 

@@ -103,12 +103,11 @@ def run(request: ShapeBeam, console: Console) -> int:
     out, cells, picture = paths
     written = f"wrote {out}, {cells} and {picture}"
     head, *lines = _lines(design, found, seen, distance)
+    following = command_line("clacad image", out)
     console.show(
         lambda: _document(design, found, seen) | {"files": [str(path) for path in paths]},
-        lambda: "\n".join([head, *lines, written, f"next: {command_line('image', out)}"]),
-        lambda: Brief(
-            head, ([*(("", line) for line in lines), ("files", written)],), (command_line("clacad image", out),)
-        ),
+        lambda: "\n".join([head, *lines, written, f"next: {following}"]),
+        lambda: Brief(head, ([*(("", line) for line in lines), ("files", written)],), (following,)),
     )
     return 0
 

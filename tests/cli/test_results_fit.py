@@ -241,7 +241,9 @@ def test_the_first_problems_are_failures_with_remedies_and_no_remedy_is_cut_wher
 def test_a_command_to_run_next_is_never_cut(monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "60")
     changes = ("lattice.count=[8, 8]", "design.name='a b'")
-    command = command_line("clacad verify", f"{'/long' * 40}/d.toml", "--files", "/other" * 30, changes=changes)
+    command = command_line(
+        "clacad verify", f"{'/long' * 40}/d.toml", "--files", "/other" * 30, changes=changes
+    )
     assert shlex.split(command)[3:7] == ["--set", changes[0], "--set", changes[1]]
     *broken, last = str(Brief("x", (), (command,), "")).splitlines()[1:-1]
     assert all(line.endswith(" \\") for line in broken), broken

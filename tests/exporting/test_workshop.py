@@ -135,7 +135,7 @@ def with_corners(data: bytes, change) -> bytes:
 
 WRONG = [
     (np.diag([1.0, -1.0, -1.0]), "it is not turned"),
-    (np.diag([1.0, 1.0, -1.0]), "it is not turned"),  # square cells look alike mirrored: both words say turn
+    (np.diag([1.0, 1.0, -1.0]), "it is not turned"),  # square cells look alike mirrored: both words are turn
     (np.eye(3) * 0.994, "not compensated for the shrinkage"),
     (np.eye(3) * 0.994**2, "scaled by 1 - s"),
     (np.diag([0.994, -0.994, -0.994]), "it is not turned"),
