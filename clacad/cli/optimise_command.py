@@ -17,6 +17,7 @@ from clacad.cli.interrupts import INTERRUPTED
 from clacad.cli.option_values import (
     BadOption,
     cell_option,
+    command_line,
     load_counted,
     of_cell,
     parse_angle,
@@ -211,7 +212,7 @@ def _finished(found: Optimised, made: GainAsMade | None, request: Optimise, cons
     checks = () if judged is None else judged.failing
     failed = [f"{one.id}: {one.sentence}" for one in checks]
     more = {} if made is None else {"page": str(request.compare), "as_made": made.to_dict()}
-    following = f"clacad check {out}" if failed else f"clacad verify {out}"
+    following = command_line("clacad check" if failed else "clacad verify", str(out))
     word = "" if judged is None else judged.verdict()
     pages = "" if made is None else f" and {request.compare}"
     written = f"wrote {out}{pages}{', the best so far' if found.stopped else ''}"

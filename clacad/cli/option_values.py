@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from math import hypot, isfinite, pi, tan
@@ -40,6 +41,12 @@ def load_design(path: Path, overrides: tuple[str, ...]) -> Design:
     from clacad.design import load
 
     return load(path, overrides)
+
+
+def command_line(start: str, design: Path | str, *rest: Path | str, changes: tuple[str, ...] = ()) -> str:
+    """A command as it is typed in a shell: first words, a design, --set KEY=VALUE options, the rest."""
+    options = [part for change in changes for part in ("--set", change)]
+    return shlex.join([*start.split(), *map(str, [design, *options, *rest])])
 
 
 def load_counted(path: Path, overrides: tuple[str, ...]) -> Design:

@@ -203,7 +203,7 @@ def _checks(content: Content) -> list[Block]:
         ]
         blocks += [
             _heading(title, 2),
-            _table(("", "check", "value", "limit", "unit", "what it says"), lines, (2, 3)),
+            _table(("", "check", "value", "limit", "unit", "result"), lines, (2, 3)),
         ]
     return blocks + (
         [{"kind": "text", "text": f"{content.checked.process}."}] if content.checked.process else []
@@ -294,7 +294,7 @@ def _waves(content: Content, shelf: _Shelf) -> list[Block]:
     return [
         _heading("Waves", 2),
         _figure(shelf, "waves", drawn, "Far field of one telescopelet as waves and as rays."),
-        _table(HEAD, content.light.waves, (1, 2, 3, 4, 5, 6)),
+        _table(HEAD, content.light.waves, (1, 2, 3, 4, 5, 6), 0),
         {"kind": "text", "text": content.light.waves_sentence},
     ]
 

@@ -223,6 +223,7 @@ def test_explain_prints_index_and_abbe_number_of_a_material_with_its_source(name
     assert found.why.startswith("From: ")
 
 
+@pytest.mark.daily_cases("achromat-plastic")
 @pytest.mark.parametrize(
     "kind",
     [
@@ -286,6 +287,7 @@ def test_sheets_with_errors_are_judged_in_white_light_and_over_temperature_where
     assert {one.measure for one in limits(stated)} >= {"law_white", "temperature"}
 
 
+@pytest.mark.slow
 def test_a_sweep_of_a_design_that_states_its_light_has_the_rows_of_white_light():
     sheet = load(DESIGNS / "window-100mm.toml").with_cells((20, 20))
     axes = [("pair.material", ("PMMA", "PMMA Beadie"))]
