@@ -257,7 +257,7 @@ def _across_air(a: Asked, one: str, two: str, colours: dict[str, Colour]) -> Ite
         f" colour of eta vanishes at eta = {last / first:.3g} alone, and at no eta below 0 (here"
         f" {min(eta):g})",
         f"{PAIR.face}.2.behind",
-        allowed="one material for both, or a joint of two materials in each plate; without check.law_white any",
+        allowed="one material for both, or a joint in each plate; any without check.law_white",
         hint="clacad new --template achromat-doublets",
     )
 

@@ -163,14 +163,14 @@ class LightRows:
     daylight_head = DAYLIGHT
 
     @property
-    def daylight(self) -> list[tuple[str, str, str, str, str, str]]:
+    def daylight(self) -> list[tuple[str, ...]]:
         """Lines of white light, their mean, and both temperatures; numbers in mrad.
 
-        Of each: name, weight, rms angle to the law, change against the design wavelength, its closed form, and
-        share of the light in percent.
+        Of each: name, weight, rms angle to the law, change against the design wavelength, its closed form,
+        and share of the light in percent.
         """
         white, warm = self._check(LAW_WHITE), self._check(TEMPERATURE)
-        rows = []
+        rows: list[tuple[str, ...]] = []
         if white is not None and white.detail.get("lines"):
             lines = white.detail["lines"]
             rows += [
