@@ -223,7 +223,7 @@ def layers_are_achromatic(a: Asked) -> Iterator[Mistake]:
 
 def plates_are_achromatic(a: Asked) -> Iterator[Mistake]:
     """Refuse, with numbers, what cannot undo the colour of listed plates: a diffractive term, and a second
-    material across air, where `check.law_white` asks for white light.
+    material across air, where `check.law_white` is written.
     """
     faces: tuple[FaceSpec, ...] = a(PAIR.face) or ()
     media = [str(face.behind) for face in faces if face.behind is not None]
@@ -231,7 +231,7 @@ def plates_are_achromatic(a: Asked) -> Iterator[Mistake]:
         return
     try:
         colours = {name: _colour(a, name) for name in media if name not in (AIR, DIFFRACTIVE)}
-    except ValueError:  # another rule says so
+    except ValueError:  # another rule reports it
         return
     if DIFFRACTIVE in media and colours:
         z = vertices_of(faces)

@@ -288,8 +288,8 @@ def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str
 def colours(window: Window) -> list[float] | None:
     """Power of the equivalent pair's lenses in red, green and blue over that at the design's wavelength.
 
-    None where the index is not known in the lines "rgb", for a field lens, and for lenses without power. Lenses
-    that are stronger by ε, s apart in air, leave C = ε s/(f1 f2): ε follows from C of the real faces.
+    None where the index is not known in the lines "rgb", for a field lens, and for lenses without power.
+    Lenses that are stronger by ε, s apart in air, leave C = ε s/(f1 f2): ε follows from C of the real faces.
     """
     lines, thin = tuple(SPECTRA["rgb"]), window.thin
     known = all(body.material and all(map(body.material.knows, lines)) for body in window.bodies)

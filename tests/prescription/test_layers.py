@@ -61,7 +61,7 @@ def test_white_light_through_flat_joints_keeps_to_the_law(layers, inner, most):
     [((-0.25, -1), 0.111, 0.452), ((0.5, 0.5), 0.011, 0.0228), ((-0.5, -0.5), 0.058, 0.117)],
 )
 def test_conics_that_are_not_given_follow_the_law_better_than_those_of_eta_minus_1(eta, most, before):
-    """Another program reached .101 and .0097 mrad with four conics of their own; −1/n² leaves what `before` says."""
+    """Another program reached .101 and .0097 mrad with four conics of their own; −1/n² leaves `before`."""
     index = float(find("silica").index(546.1e-9))
     white = [
         next(check for check in judge(design).light if check.id == "law_white")
