@@ -281,6 +281,18 @@ def _errors(content: Content, shelf: _Shelf) -> list[Block]:
         *blocks,
         _heading("Budget", 2),
         _table(("contribution", "mrad", "measured as"), content.light.budget, (1,)),
+        *_daylight(content),
+    ]
+
+
+def _daylight(content: Content) -> list[Block]:
+    """White light line by line, and temperature, where the design has either."""
+    if not content.light.daylight:
+        return []
+    return [
+        _heading("Daylight and temperature", 2),
+        _table(content.light.daylight_head, content.light.daylight, (1, 2, 3, 4, 5)),
+        {"kind": "text", "text": content.light.daylight_sentence},
     ]
 
 

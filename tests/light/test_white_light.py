@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from dataclasses import replace
 from functools import cache
@@ -221,6 +222,18 @@ def test_explain_prints_index_and_abbe_number_of_a_material_with_its_source(name
     found = explain(name)
     assert says in found.means
     assert found.why.startswith("From: ")
+
+
+MATERIALS = ["PMMA", "PMMA Beadie", "PS", "PC", "COP", "N-BK7", "N-SF6", "N-F2", "fused silica", "NOA61"]
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_explain_prints_range_v_dn_dt_expansion_and_density_or_that_they_are_not_published(name):
+    found = " ".join(explain(name).means.split())
+    assert re.search(r"V_d = [0-9.]+; known from [0-9]+ to [0-9]+ nm", found)
+    assert re.search(r"dn/dT (not published|-?[0-9.]+e-6/K at [0-9]+ nm)", found)
+    assert re.search(r"expansion (not published|[0-9.]+e-6/K)", found)
+    assert re.search(r"[0-9]+ kg/m³|density not published", found)
 
 
 @pytest.mark.daily_cases("achromat-plastic")

@@ -43,6 +43,7 @@ ELSEWHERE = {
     "exporting/run.py": "field of the manifest",
     "advice/candidate.py": "writes a key of [check]",
     "advice/wish.py": "reads a key of [check]",
+    "report/rows.py": "field of each line in the detail of a check",
     "measuring/measured.py": "field of what is measured",
     "making/light_as_made.py": "key of [process]",
     "making/process.py": "key of [process]",
