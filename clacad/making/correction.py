@@ -133,7 +133,7 @@ class Correction:
     def dose(self, calibration: str | os.PathLike[str] | None = None) -> Ints:
         """Levels (128, 128) of the command for greyscale exposure, 0 to 255; 0 outside the cell.
 
-        calibration : Table of level and depth as `clacad calibrate` writes it; None: levels in proportion to depth.
+        calibration : Table by `clacad calibrate`; None: levels in proportion to depth.
         Raises BadRequest: A depth lies outside the table.
         """
         depth = (np.nanmax(self.heights) - self.heights) * self.design.unit_m
@@ -152,8 +152,8 @@ class Correction:
     ) -> list[Path]:
         """Write the command as a height map (NPY, JSON) and the state of the loop; return their paths.
 
-        For greyscale also the levels of its dose, a PNG whose first row has the largest y. Files of an earlier
-        round of the same side are replaced.
+        For greyscale also the levels of its dose, a PNG whose first row has the largest y. Files of an
+        earlier round of the same side are replaced.
 
         Raises CannotWrite, ExportRefused; BadRequest, UnreadableFile: As `dose`.
         """

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import dist
 from statistics import NormalDist
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 from zlib import crc32
 
 import numpy as np
@@ -24,13 +24,14 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.sequence import Interface, trace_sequence
-from clacad.optics.surface import Biconic, Quadric, Surface, resized
+from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface, resized
 from clacad.sheet.face_order import plates_of, refractions
 from clacad.sheet.feasibility import thicker
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, in_optical_tile
 
 if TYPE_CHECKING:
+    from clacad.base.units import A4, A6, A8
     from clacad.design import Design
 
 
@@ -183,7 +184,7 @@ def _face_as_made(face: Face, part: str | None, errors: Errors) -> Face:
 
 
 def flattened(surface: Surface, part: float) -> Surface:
-    """The surface with all heights lower by a relative `part`: R' = R/(1 − part), 1 + K' = (1 + K)/(1 − part)²."""
+    """The surface with heights lower by a relative `part` p: R' = R/(1 − p), 1 + K' = (1 + K)/(1 − p)²."""
     if part == 0.0:
         return surface
     low = 1.0 - part
@@ -193,10 +194,10 @@ def flattened(surface: Surface, part: float) -> Surface:
     conics = [(1.0 + one) / low**2 - 1.0 for one in (surface.conic_x, surface.conic_y)]
     if isinstance(surface, Biconic):
         return Biconic(cx, cy, conics[0], conics[1], surface.side)
-    a4, a6, a8 = (tuple(low * term for term in terms) for terms in (surface.a4, surface.a6, surface.a8))
-    return replace(
-        surface, curvature_x=cx, curvature_y=cy, conic_x=conics[0], conic_y=conics[1], a4=a4, a6=a6, a8=a8
-    )
+    a4 = tuple(low * term for term in surface.a4)
+    a6, a8 = tuple(low * term for term in surface.a6), tuple(low * term for term in surface.a8)
+    terms = (cast("A4", a4), surface.side, cast("A6", a6), cast("A8", a8))
+    return EvenPolynomial(cx, cy, conics[0], conics[1], *terms)
 
 
 def _thicker_outside(body: Body, change: float, number: int) -> Body:
