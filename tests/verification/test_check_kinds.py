@@ -46,6 +46,8 @@ ELSEWHERE = {
     "report/rows.py": "field of each line in the detail of a check",
     "measuring/measured.py": "field of what is measured",
     "making/light_as_made.py": "key of [process]",
+    "making/correction.py": "field of what is measured, in the history of a correction",
+    "cli/correct_command.py": "field of what is measured, in the history of a correction",
     "making/process.py": "key of [process]",
     "stacking/assembly.py": "states in the manifest what was compared",
     "formats/step/lenses_on_cells.py": "field of what is read from a STEP file",
