@@ -10,7 +10,7 @@ the wall.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import cos, degrees, inf, isfinite, pi
 from time import monotonic
@@ -28,6 +28,7 @@ from clacad.optics.fit import minimise
 from clacad.optics.surface import Surface
 from clacad.optimising.aim import RAYS, Aim, AimedRays, LightInCells, ShareOfLight, fields_of
 from clacad.optimising.listed_unknowns import ListedUnknowns, with_listed
+from clacad.optimising.scan_light import SCAN_MARGIN, ScanLight
 from clacad.optimising.unknowns import Unknowns, given_design, refused, trial_design, with_faces
 from clacad.prescription.bodies import given_conics
 from clacad.sheet.feasibility.convex_extremes import outline
@@ -129,6 +130,7 @@ class Walls:
             found["light in its cells"] = self.light.slack(window)
         if self.path:
             found["B of the faces"] = 1.0 - abs(_b_of(window) / self.path - 1.0) / KEPT_PATH
+        if isfinite(self.gaps):
             for number, gap in enumerate(_gaps(window, self.x, self.y), start=1):
                 found[f"air behind plate {number}"] = gap / self.gaps - 1.0 if isfinite(gap) else LOST
         return found
@@ -151,9 +153,9 @@ class Walls:
         return found
 
 
-def penalties(slack: dict[str, float]) -> Floats:
+def penalties(slack: Mapping[str, float], margin: float = MARGIN) -> Floats:
     """Residuals of the walls, (w,) radians: 0 outside their margins."""
-    return STIFFNESS * np.maximum(0.0, MARGIN - np.array(list(slack.values())))
+    return STIFFNESS * np.maximum(0.0, margin - np.array(list(slack.values())))
 
 
 def _thinnest(body: Body, x: Floats, y: Floats) -> float:
@@ -269,7 +271,13 @@ class FaceSearch:
         self.progress, self.starts = progress, limit.starts
         self.until = inf if limit.seconds is None else monotonic() + limit.seconds
         self.walls = Walls.of(design, window, aim.field)
-        self.target = AimedRays.of(aim, design, window, len(unknowns.free))
+        if aim.scan is not None:  # a scan holds its slope and its share instead
+            self.walls = replace(self.walls, light=None, path=0.0)
+        self.target: AimedRays | ScanLight = (
+            AimedRays.of(aim, design, window, len(unknowns.free))
+            if aim.scan is None
+            else ScanLight.of(aim.scan, window)
+        )
         self.before = self.error_of(window)
         self.evaluations = 0
         self.best: Best | None = None
@@ -356,8 +364,10 @@ class FaceSearch:
         trial = self._trial(vector)
         light = self.target.residuals(trial)
         slack = self.walls.slack(trial)
-        self._note(vector, float(np.linalg.norm(light)), slack)
-        return np.concatenate([light, penalties(slack), TIE * self.unknowns.conics(vector)])
+        scan = self.target.slack(trial) if isinstance(self.target, ScanLight) else {}
+        self._note(vector, float(np.linalg.norm(light)), slack | scan)
+        ties = TIE * self.unknowns.conics(vector)
+        return np.concatenate([light, penalties(slack), penalties(scan, SCAN_MARGIN), ties])
 
     def best_design(self, free: tuple[str, ...]) -> Design:
         """Best result within the walls as a design that records its origin, checked as a design file is."""
@@ -395,6 +405,7 @@ class FaceSearch:
             RAYS,
             tuple((float(at), 1e3 * rms) for at, rms in self.best.history),
             tuple((float(f"{1e9 * line:.12g}"), weight) for line, weight in self.aim.spectrum),
+            None if self.aim.scan is None else self.aim.scan.words(self.design.unit),
         )
         return given_design(self.design, self.window, faces, offset, record)
 
