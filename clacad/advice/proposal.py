@@ -15,7 +15,6 @@ from clacad.advice.candidate import round_to
 from clacad.advice.judged import Judged
 from clacad.advice.lens_shape import Work, least_of_one_material, reasons_for_white
 from clacad.advice.trade_offs import Trade, rows_of, sentences, trade_offs
-from clacad.advice.wide_field import WideSearch, is_wide
 from clacad.advice.wish import KEYS, Wish, read_wish, workable_material
 from clacad.advice.wish_search import Search, Tried, returned_share
 from clacad.base.interactive import shown_progress
@@ -341,6 +340,8 @@ def design_for(
     >>> found.judged.passes
     True
     """
+    from clacad.advice.wide_field import is_wide
+
     asked = wish if isinstance(wish, Wish) else read_wish(wish)
     if is_wide(asked):
         return _wide(asked, name, tuple(overrides), shown_progress(progress))
@@ -354,6 +355,8 @@ def design_for(
 
 def _wide(wish: Wish, name: str, overrides: Sequence[str], progress: Progress) -> Proposal:
     """A design of several plates for a wish of a wide field. Raises NoSuchSheet."""
+    from clacad.advice.wide_field import WideSearch
+
     search = WideSearch(wish, name, overrides, progress)
     chosen = search.run()
     if chosen is None:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from clacad.checks.check import Check
     from clacad.design import Design
     from clacad.optimising import Optimised
-    from clacad.optimising.gain_as_made import GainAsMade
+    from clacad.report.better_faces import GainAsMade
     from clacad.steering import Scan
 
 TASK = "optimise"

@@ -52,6 +52,10 @@ MARGIN = 0.005
 STIFFNESS = 0.01
 """Residual (radians) of a wall that is violated by its whole limit."""
 
+SOFT = 0.01
+"""Part of the stiffness in the first stage of a search over listed faces: with hard walls from the start on it
+ends in a worse minimum."""
+
 LOST = -1.0
 
 
@@ -286,6 +290,7 @@ class FaceSearch:
         self.kept: tuple[str, ...] = ()
         follows = design.pair.offset == "traced" or any(face.land is not None for face in window.faces)
         self.quick = unknowns.still and not follows
+        self.stiff = 1.0
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -330,7 +335,11 @@ class FaceSearch:
         """Search terms of fourth order before conic constants: being alike, both together diverge."""
         kinds = np.array([one.kind for one in self.unknowns.free])
         now = ~np.isin(kinds, HIGHER)
-        if "K" in kinds and "a4" in kinds:
+        if self.walls.path:  # listed faces
+            self.stiff = SOFT
+            here = self._among(here, now)
+            self.stiff = 1.0
+        elif "K" in kinds and "a4" in kinds:
             here = self._among(here, now & (kinds != "K"))
         return self._among(here, now)
 
@@ -367,7 +376,8 @@ class FaceSearch:
         scan = self.target.slack(trial) if isinstance(self.target, ScanLight) else {}
         self._note(vector, float(np.linalg.norm(light)), slack | scan)
         ties = TIE * self.unknowns.conics(vector)
-        return np.concatenate([light, penalties(slack), penalties(scan, SCAN_MARGIN), ties])
+        walls = np.concatenate([penalties(slack), penalties(scan, SCAN_MARGIN)])
+        return np.concatenate([light, self.stiff * walls, ties])
 
     def best_design(self, free: tuple[str, ...]) -> Design:
         """Best result within the walls as a design that records its origin, checked as a design file is."""

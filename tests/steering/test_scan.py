@@ -87,6 +87,23 @@ def test_efficiencies_of_all_orders_add_up_to_the_light_of_the_cells_own_partner
     assert peak == pytest.approx(here, rel=1e-3)  # at rest the light is on an order
 
 
+def test_orders_of_oblique_light_through_a_wide_form_add_up_to_its_share():
+    window = prescribe(starter("three-plates-10deg"))
+    angle, length = np.radians(9.0), 546.1e-6
+    light = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    pupil = exit_pupil.pupil(window, light, 546.1e-9, 96)
+    toward = window.law.refract(light[None])[0]
+    steps = [(i, j) for i in range(-7, 8) for j in range(-7, 8)]
+    found = [
+        exit_pupil.order_efficiency(pupil, window, toward, length, toward[:2] + np.array(one) * length / 0.5)
+        for one in steps
+    ]
+    assert sum(found) == pytest.approx(pupil.alive.mean(), rel=0.02)
+    peak = exit_pupil.order_efficiency(pupil, window, toward, length)
+    assert max(found) <= peak * (1.0 + 1e-6)
+    assert 0.7 < peak < pupil.alive.mean()
+
+
 @pytest.mark.parametrize(
     ("kind", "words", "says"),
     [
