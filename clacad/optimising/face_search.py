@@ -53,8 +53,8 @@ STIFFNESS = 0.01
 """Residual (radians) of a wall that is violated by its whole limit."""
 
 SOFT = 0.01
-"""Part of the stiffness in the first stage of a search over listed faces: with hard walls from the start on it
-ends in a worse minimum."""
+"""Part of the stiffness in the first stage of a search over listed faces: with hard walls from the start on
+it ends in a worse minimum."""
 
 LOST = -1.0
 
