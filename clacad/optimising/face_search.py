@@ -27,9 +27,16 @@ from clacad.design.sections import PAIR
 from clacad.optics.fit import minimise
 from clacad.optics.surface import Surface
 from clacad.optimising.aim import RAYS, Aim, AimedRays, LightInCells, ShareOfLight, fields_of
-from clacad.optimising.listed_unknowns import ListedUnknowns, with_listed
 from clacad.optimising.scan_light import SCAN_MARGIN, ScanLight
-from clacad.optimising.unknowns import Unknowns, given_design, refused, trial_design, with_faces
+from clacad.optimising.unknowns import (
+    ListedUnknowns,
+    Unknowns,
+    given_design,
+    refused,
+    trial_design,
+    with_faces,
+    with_listed,
+)
 from clacad.prescription.bodies import given_conics
 from clacad.sheet.feasibility.convex_extremes import outline
 from clacad.sheet.moved_plates import paraxial_exit

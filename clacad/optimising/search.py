@@ -22,9 +22,8 @@ from clacad.design.faces import face_table
 from clacad.design.sections import LIGHT, PAIR
 from clacad.optimising.aim import MOST_LOST, RAYS, WHOLE, Aim, AimedRays, Seen, Weights, fields_of, measured
 from clacad.optimising.face_search import Effort, FaceSearch, Progress
-from clacad.optimising.listed_unknowns import ListedUnknowns, listed_unknowns
 from clacad.optimising.scan_light import SCAN_POSITIONS, ScanLight
-from clacad.optimising.unknowns import Unknowns, chosen, refused
+from clacad.optimising.unknowns import ListedUnknowns, Unknowns, chosen, listed_unknowns, refused
 from clacad.prescription.face_list import as_listed
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.need_window import equal_cells

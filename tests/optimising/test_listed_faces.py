@@ -14,9 +14,9 @@ from clacad.base.types import silent
 from clacad.design import Design, load, template
 from clacad.optimising.aim import LISTED_FIELDS
 from clacad.optimising.face_search import Walls
-from clacad.optimising.listed_unknowns import BOTH, listed_unknowns, with_listed
 from clacad.optimising.scan_light import BEAM, ScanLight
 from clacad.optimising.search import design_text
+from clacad.optimising.unknowns import BOTH, listed_unknowns, with_listed
 from clacad.prescription.face_matrices import matrices
 
 DATA = Path(__file__).parents[1] / "data"
