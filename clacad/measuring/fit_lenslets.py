@@ -388,9 +388,33 @@ def _fitted(table: Floats, start: Floats, grid: _Grid, last: bool) -> _Fit:
     own = np.eye(len(form)) - np.linalg.lstsq(grid.basis, slopes, rcond=None)[0] @ share
     form, of_form = own @ form, own @ covariance @ own.T
     u_form = np.sqrt(np.maximum(np.diag(of_form), 0.0))
-    shrunk = form * np.maximum(0.0, 1.0 - u_form**2 / np.maximum(form**2, 1e-300))
     texture = float(np.sqrt(np.mean((off - smooth[block])[kept] ** 2)))
-    return _Fit(values, share @ covariance @ share.T, shrunk, u_form, texture)
+    return _Fit(values, share @ covariance @ share.T, shrunk(form, u_form), u_form, texture)
+
+
+def pooled_form(u: Floats, v: Floats, off: Floats, aperture: Aperture, pixel: float) -> tuple[Floats, Floats]:
+    """Legendre coefficients (c,) of heights (n,) over places of a cell, and their standard deviations.
+
+    Points of several cells at once give the form that their cells share. Spikes are left out.
+
+    pixel : length. Distance of neighbouring points of one cell.
+    """
+    inside = aperture.holds(u, v)
+    u, v, off = u[inside], v[inside], off[inside]
+    grid = _grid(aperture, pixel)
+    block = grid.block(u, v)
+    smooth = np.zeros(grid.side * grid.side)
+    form, square, weight, mean = _form(off, block, _near(off), grid)
+    for _ in range(2):
+        smooth[grid.inside] = grid.basis @ form
+        form, square, weight, mean = _form(off, block, _near(off - smooth[block]), grid)
+    covariance = _sandwich(grid, square, weight, mean - grid.basis @ form)
+    return form, np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+
+
+def shrunk(form: Floats, u_form: Floats) -> Floats:
+    """Coefficients of least expected error: each less the part that its standard deviation may have made."""
+    return np.asarray(form * np.maximum(0.0, 1.0 - u_form**2 / np.maximum(form**2, 1e-300)))
 
 
 def fit_heights(aperture: Aperture, heights: Callable[[Floats, Floats], Floats], start: Floats) -> Floats:

@@ -61,7 +61,7 @@ def surface_of(measured: MeasuredMap, side: Side, lenslets: Lenslets, u_scale: f
     """
     bounds = np.abs(side.lattice.tile()).max(axis=0)
     number, (u, v, z) = lenslets.placed(measured.points)
-    target = conic(side.lenslet, u, v, slopes=False)[0]
+    target = side.target(u, v)
     off = np.full(z.shape, np.nan)
     across = 2.0 * float(bounds.min()) / (1.5 * max(measured.pixel))
     bins = int(np.clip(across, 8, BINS))

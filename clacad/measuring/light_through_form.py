@@ -140,12 +140,7 @@ def light_through_form(
     sides : Measured ones; the other faces are as designed.
     field : radians. Half angle of the cone of directions; `centre`: its middle, as in `bundle`.
     """
-    common = sorted(set.intersection(*(set(one.rows) for one in sides.values())))
-    cells = [common[k] for k in np.linspace(0, len(common) - 1, min(len(common), MOST_CELLS)).astype(int)]
-    cell = central_cell(window)
-    lit = bundle(window, RAYS, field, centre, cell=cell)
-    lights = [_lit(window, sides, one, lit) for one in cells]
-    clear = [_clear(sides, one, light) for one, light in zip(cells, lights, strict=True)]
+    cells, lit, lights, clear = _lit_cells(window, sides, field, centre)
     value = _rms(lights, clear)
     few = cells if len(cells) <= 9 else [cells[k] for k in np.linspace(0, len(cells) - 1, 9).astype(int)]
     base = _rms([_lit(window, sides, one, lit) for one in few])
@@ -172,6 +167,24 @@ def light_through_form(
         float((alive - formed).mean()),
         np.array([_rms([light], [good]) for light, good in zip(lights, clear, strict=True)]),
     )
+
+
+def law_rms_of_form(window: Window, sides: Mapping[Name, MeasuredSide], field: float, centre: str) -> float:
+    """Error (radians) to the law of the formed light alone, as `FormLight.rms`; NaN if too dark."""
+    _, _, lights, clear = _lit_cells(window, sides, field, centre)
+    return _rms(lights, clear)
+
+
+def _lit_cells(
+    window: Window, sides: Mapping[Name, MeasuredSide], field: float, centre: str
+) -> tuple[list[tuple[int, int]], Bundle, list[Light], list[Bools]]:
+    """Cells that are lit, the bundle of one cell, the light of each, and which rays met formed surface."""
+    common = sorted(set.intersection(*(set(one.rows) for one in sides.values())))
+    cells = [common[k] for k in np.linspace(0, len(common) - 1, min(len(common), MOST_CELLS)).astype(int)]
+    lit = bundle(window, RAYS, field, centre, cell=central_cell(window))
+    lights = [_lit(window, sides, one, lit) for one in cells]
+    clear = [_clear(sides, one, light) for one, light in zip(cells, lights, strict=True)]
+    return cells, lit, lights, clear
 
 
 def _rms(lights: Sequence[Light], clear: Sequence[Bools] | None = None) -> float:

@@ -26,6 +26,7 @@ from clacad.storage.errors import BadRequest
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.sheet.window import Window
 
 Path = str | os.PathLike[str]
 
@@ -34,12 +35,16 @@ Path = str | os.PathLike[str]
 class Maps:
     """Maps of one part and the scales of the instrument, as `measure` takes them."""
 
-    front: Path | None = None
-    back: Path | None = None
+    front: Path | MeasuredMap | None = None
+    back: Path | MeasuredMap | None = None
     tilted: Path | None = None
     z_scale: Stated = None
     lateral_scale: Stated = None
     unit: str | None = None
+
+    def of(self, side: Name, measured: Path | MeasuredMap) -> Maps:
+        """The scales with the map of one side."""
+        return replace(self, front=measured) if side == "front" else replace(self, back=measured)
 
     def measured(self, design: Design, progress: Progress) -> Measured:
         """Measure the part; see `measure`."""
@@ -137,32 +142,10 @@ def measure(
       pass  5 checks
     pass: light through the measured form leaves 0.166 mrad rms from the law ...
     """
-    given: dict[Name, Path | MeasuredMap | None] = {"front": front, "back": back}
-    maps = {name: one for name, one in given.items() if one is not None}
-    if not maps:
-        raise BadRequest("no map to measure: give front, back or both")
     told = shown_progress(progress)
-    heights, lateral = (
-        scale_of(z_scale, HEIGHTS, "z_scale"),
-        scale_of(lateral_scale, LATERAL, "lateral_scale"),
-    )
+    maps = Maps(front, back, tilted, z_scale, lateral_scale, unit)
     window = prescribe(design)
-    sides = sides_of(window, 1e-3 / design.unit_m)
-    read: dict[Name, MeasuredMap] = {}
-    for name, one in maps.items():
-        told(f"reading the {name}", 0.0)
-        read[name] = one if isinstance(one, MeasuredMap) else read_map(one, unit)
-    if tilted is not None:
-        told("finding the scale of heights", 0.2)
-        first = next(iter(read))
-        heights = _by_tilt(
-            read[first], read_map(tilted, unit), sides[first], heights, lateral.value, design.unit_m
-        )
-    fitted: dict[Name, tuple[MeasuredMap, Lenslets]] = {}
-    for name, one in read.items():
-        told(f"fitting the lenslets of the {name}", 0.3)
-        fitted[name] = _fitted(one, sides[name], heights.value, lateral.value, design.unit_m)
-    found = _surfaces(fitted, sides, heights, lateral)
+    found, heights, lateral = fitted_sides(design, window, maps, progress)
     told("sending light through the measured form", 0.6)
     light = light_through_form(
         window, {name: one.lit for name, one in found.items()}, design.check.field, design.check.field_centre
@@ -175,6 +158,40 @@ def measure(
     judged = Scanned(design, found, light, heights, lateral, wavelength)
     told("done", 1.0)
     return Measured(design, found, heights, lateral, light, prod(shares), scan_checks(judged))
+
+
+def fitted_sides(
+    design: Design, window: Window, of: Maps, progress: Progress | None = None
+) -> tuple[dict[Name, Surface], Scale, Scale]:
+    """Fit every whole lenslet of the maps of a part; no light is sent.
+
+    Returns measured sides, scale of heights, and lateral scale. Raises as `measure`.
+    """
+    given: dict[Name, Path | MeasuredMap | None] = {"front": of.front, "back": of.back}
+    maps = {name: one for name, one in given.items() if one is not None}
+    if not maps:
+        raise BadRequest("no map to measure: give front, back or both")
+    told = shown_progress(progress)
+    heights, lateral = (
+        scale_of(of.z_scale, HEIGHTS, "z_scale"),
+        scale_of(of.lateral_scale, LATERAL, "lateral_scale"),
+    )
+    sides = sides_of(window, 1e-3 / design.unit_m)
+    read: dict[Name, MeasuredMap] = {}
+    for name, one in maps.items():
+        told(f"reading the {name}", 0.0)
+        read[name] = one if isinstance(one, MeasuredMap) else read_map(one, of.unit)
+    if of.tilted is not None:
+        told("finding the scale of heights", 0.2)
+        first = next(iter(read))
+        heights = _by_tilt(
+            read[first], read_map(of.tilted, of.unit), sides[first], heights, lateral.value, design.unit_m
+        )
+    fitted: dict[Name, tuple[MeasuredMap, Lenslets]] = {}
+    for name, one in read.items():
+        told(f"fitting the lenslets of the {name}", 0.3)
+        fitted[name] = _fitted(one, sides[name], heights.value, lateral.value, design.unit_m)
+    return _surfaces(fitted, sides, heights, lateral), heights, lateral
 
 
 def _surfaces(

@@ -62,6 +62,16 @@ class Side:
         tile = self.lattice.tile()
         return float(np.ptp(np.append(_outward(self.face, tile[:, 0], tile[:, 1], self.name), 0.0)))
 
+    def outward(self, u: Floats, v: Floats) -> Floats:
+        """Height (n,) of the design's lenslet above its apex, out of the material, over places of a map's
+        cell.
+        """
+        return _outward(self.face, u, v, self.name)
+
+    def target(self, u: Floats, v: Floats) -> Floats:
+        """Height (n,) as `outward`, over places relative to the middle of the lenslet."""
+        return self.outward(u + self.lenslet[0], v + self.lenslet[1])
+
     def cell(self, index: Ints) -> Ints:
         """Steps (m, 2) of the sheet's lattice for steps (m, 2) of the map's."""
         basis = np.column_stack([self.lattice.a1, self.lattice.a2])
