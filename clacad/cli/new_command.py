@@ -37,7 +37,8 @@ class New(Overridden):
     wishes: tuple[str, ...] = option(
         "--for KEY=VALUE,...",
         "Find a design that does this and passes verify: eta, width or circle, viewing, object, process, "
-        "material, index, wavelength, pitch, flange, holes, form, kind, delta, euler, field, white; e.g. "
+        "material, index, wavelength, pitch, flange, holes, form, kind, delta, euler, field, error, "
+        "white; e.g. "
         "'eta=-1, circle=60 mm, process=moulding'. Repeatable.",
         (),
     )

@@ -22,13 +22,17 @@ from clacad.cli.option_values import (
     of_cell,
     parse_angle,
     parse_design_file,
+    parse_moves,
+    parse_travel,
     words_of,
 )
 
 if TYPE_CHECKING:
     from clacad.checks.check import Check
+    from clacad.design import Design
     from clacad.optimising import Optimised
-    from clacad.optimising.gain_as_made import GainAsMade
+    from clacad.report.better_faces import GainAsMade
+    from clacad.steering import Scan
 
 TASK = "optimise"
 
@@ -81,6 +85,17 @@ class Optimise(OfDesign):
         "Seek the least mean error over lines of light: visible (F e d C), photopic, or design (its "
         "[light]); default the design's wavelength.",
     )
+    scan: str | None = option(
+        "--scan LENGTH",
+        "Of plates that move by up to this to either side, e.g. '±50 um': seek the least spread at all "
+        "positions, with the exit beam, the last slope and the share held.",
+    )
+    axis: str = option("--axis A", "Axis of the scan: x, y or xy.", "x")
+    move: dict[int, float] | None = option(
+        "--move plate2=1,plate3=.5",
+        "Plates that the scan moves, and their part of the travel; default the last by 1.",
+        read=parse_moves,
+    )
     starts: int = option(
         "--starts N", "Starts of the search, the first from the design's faces.", 1, least=1, most=1000
     )
@@ -114,9 +129,10 @@ def run(request: Optimise, console: Console) -> int:
     from clacad.storage.atomic import write_file
 
     page, weights = _page(request), request.weights or ((1.0, 1.0),)
+    scan = _scan(request, design)
     with _named_as_typed():
         ahead = outlook(
-            design, request.free, weights, tolerances=request.tolerances, spectrum=request.spectrum
+            design, request.free, weights, tolerances=request.tolerances, spectrum=request.spectrum, scan=scan
         )
     ahead["seconds"] *= request.starts
     ahead["seconds"] += _page_seconds(page)
@@ -136,7 +152,7 @@ def run(request: Optimise, console: Console) -> int:
             found = optimise(
                 design,
                 request.free,
-                request.field,
+                scan or request.field,
                 best_so_far,
                 weights=weights,
                 tolerances=request.tolerances,
@@ -150,6 +166,17 @@ def run(request: Optimise, console: Console) -> int:
         write_file(request.out, search, overwrite=request.overwrite)  # refuses a taken name before the search
         made = _compared(ended[0], page, overwrite=request.overwrite)
     return _finished(ended[0], made, request, console)
+
+
+def _scan(request: Optimise, design: Design) -> Scan | None:
+    """Positions of the requested scan."""
+    if request.scan is None:
+        if request.move is not None:
+            raise BadOption("--move belongs to --scan, the travel of the plates")
+        return None
+    from clacad.steering import Scan
+
+    return Scan(parse_travel("--scan", request.scan, design.unit), request.axis, request.move)
 
 
 @contextmanager

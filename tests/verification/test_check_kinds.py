@@ -60,7 +60,7 @@ ELSEWHERE = {
     "advice/hints.py": "field of JSON",
     "imaging/image_by_rays.py": "field of JSON",
     "optics/law/__init__.py": "public function",
-    "optimising/gain_as_made.py": "measure of a study of tolerances",
+    "report/better_faces.py": "measure of a study of tolerances",
     "report/report_files.py": "field of a template",
     "report/pdf.py": "field of a template",
     "sheet/feasibility/as_rows.py": "derived number",
