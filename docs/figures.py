@@ -295,7 +295,81 @@ def corrected(folder: Path) -> None:
     (folder / "corrected.md").write_text(_table(head, rows, texts=2), encoding="utf-8")
 
 
+def stack_share(folder: Path) -> None:
+    """Share of the light against |eta| and field: closed form as lines, rays through thin lenses as dots."""
+    from matplotlib import pyplot
+
+    figure, unused = axes(8.0, 3.6)
+    unused.remove()
+    for ax, draw in zip(figure.subplots(1, 2), (_draw_pairs, _draw_members), strict=True):
+        draw(ax)
+    figure.savefig(folder / "stack-share.svg", metadata={"Date": None})
+    pyplot.close(figure)
+
+
+def _draw_pairs(ax: Any) -> None:
+    """One sheet: share along an axis of light of one slope, for several slopes."""
+    import clacad as package
+    from clacad.advice.wanted_stack import passed
+    from clacad.base.sobol import sobol
+    from clacad.optics.rays import Fate
+    from clacad.sheet.stack import stacked
+    from clacad.tracing.through_stack import StackTracer, started
+
+    sizes = np.geomspace(0.2, 5.0, 81)
+    design = package.load(ROOT / "designs" / "window-100mm.toml", ["lattice.count = [20, 20]"])
+    places = 0.5 * sobol(4096, 2)
+    for slope, colour in ((0.0, "#20507a"), (0.01, "#2c8c58"), (0.03, "#e07b39"), (0.06, "#8c4a8c")):
+        c = slope * 10.0 / 0.5
+        ax.plot(sizes, passed(np.full(81, c), sizes), color=colour, label=f"slope {slope:g}")
+        for eta in (-0.25, -0.5, -1.0, -2.0, -4.0):
+            row = stacked([package.prescribe(design.replace("law.eta", [eta, eta]))], [])
+            sent = started(row, places, np.broadcast_to([slope, 0.0], places.shape))
+            along_y = min(1.0, 1.0 / abs(eta))
+            share = (StackTracer(row, "thin")(sent).fate == Fate.ALIVE).mean() / along_y
+            ax.plot(abs(eta), share, "o", ms=4, color=colour)
+    ax.set(
+        xscale="log", xlabel="|eta| of a pair, s/p = 20", ylabel="share along one axis", ylim=(-0.03, 1.05)
+    )
+    ax.legend(frameon=False)
+
+
+def _draw_members(ax: Any) -> None:
+    """Cloaks of 500 mm: share along both axes against the field, for members of the family."""
+    import clacad as package
+    from clacad.advice.stack_designs import traced, wanted_matrix
+    from clacad.advice.wanted_stack import Wanted, stack_of_three
+
+    fields = np.radians([0.05, 0.25, 0.5, 0.75, 1.0])
+    for eta, lensed, colour in (
+        ((-1.2, -0.94), True, "#20507a"),
+        ((-1.158, -0.9345), False, "#2c8c58"),
+        ((-1.5, -0.8), False, "#e07b39"),
+        ((-2.0, 0.5), False, "#8c4a8c"),
+    ):
+        keys = {
+            "pair.separation": 5.0,
+            "pair.form": "plano",
+            "pair.field_lens": lensed,
+            "pair.material": "PC",
+        }
+        design = package.load(ROOT / "designs" / "window-100mm.toml").replace(keys)
+        shares = []
+        for field in fields:
+            wish = Wanted("cloak", wanted_matrix("cloak", 1.0, 500.0), 5.0, 0.5, (485 / 3, 970 / 3), 10.0,
+                          float(field), 0.58, 0.0, lensed)  # fmt: skip
+            solved = stack_of_three(wish, *eta)
+            shares.append((solved.share, traced([design] * 3, wish, solved).by_rays))
+        closed, rays = np.array(shares).T
+        name = f"{eta[0]:g}, {eta[1]:g}{', field lenses' if lensed else ''}"
+        ax.plot(np.degrees(fields), closed, color=colour, label=name)
+        ax.plot(np.degrees(fields), rays, "o", ms=4, color=colour)
+    ax.set(xlabel="field / deg", ylabel="share, both axes", ylim=(-0.03, 1.05))
+    ax.legend(frameon=False, title="eta of sheets a and b")
+
+
 FIGURES: Mapping[str, Callable[[Path], None]] = {
     "accuracy": accuracy, "stability": stability, "effects": effects, "daylight": daylight, "cloak": cloak,
     "corrected": corrected,
+    "stack_share": stack_share,
 }  # fmt: skip

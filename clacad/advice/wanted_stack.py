@@ -174,13 +174,14 @@ class _Family:
     def _last(wanted: Wanted, gaps: tuple[float, ...], eta: Sequence[Any], k: Sequence[Any]) -> _Family:
         """Add the last sheet, which sets C and D."""
         etas, ks = np.atleast_2d(*(np.array([np.atleast_1d(v) for v in row]) for row in (eta, k)))
-        before = [np.broadcast_to(np.eye(2), (etas.shape[1], 2, 2))]
+        before, area = [np.broadcast_to(np.eye(2), (etas.shape[1], 2, 2))], np.ones(etas.shape[1])
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for one, power, gap in zip(etas, ks, gaps, strict=True):
-                before.append(_space(gap) @ _through(wanted, one, power, before[-1]))
+                sheet = _sheet(wanted, one, power, before[-1])
+                area = area * (sheet[:, 0, 0] * sheet[:, 1, 1] - sheet[:, 0, 1] * sheet[:, 1, 0])
+                before.append(_space(gap) @ sheet @ before[-1])
             (a, b), (c, d) = np.moveaxis(before[-1], 0, -1)
             rows = wanted.matrix[1]
-            area = a * d - b * c
             last = (rows[0] * d - rows[1] * c) / area, (rows[1] * a - rows[0] * b) / area
             return _Family(
                 wanted, gaps, np.vstack([etas, 1.0 / last[1]]), np.vstack([ks, last[0]]), np.array(before)
@@ -239,7 +240,8 @@ class _Family:
         """Least half width (n,) of the light between sheets, with half a pitch for the pencils of cells."""
         found, wanted = np.full(self.eta.shape[1], inf), self.wanted
         for number, gap in enumerate(self.gaps):
-            after = _through(wanted, self.eta[number], self.k[number], self.before[number])
+            before = self.before[number]
+            after = _sheet(wanted, self.eta[number], self.k[number], before) @ before
             (a, b), (c, d) = np.moveaxis(after, 0, -1)
             with np.errstate(divide="ignore", invalid="ignore"):
                 for at in (np.zeros_like(a), np.full_like(a, gap), -a / c, -b / d):  # convex: least at a kink
@@ -414,13 +416,12 @@ def _space(length: float) -> Floats:
     return np.array([[1.0, length], [0.0, 1.0]])
 
 
-def _through(wanted: Wanted, eta: Floats, k: Floats, before: Floats) -> Floats:
-    """Matrices (n, 2, 2) of sheets and of what lies before them.
+def _sheet(wanted: Wanted, eta: Floats, k: Floats, before: Floats) -> Floats:
+    """Matrices (n, 2, 2) of sheets.
 
     Field lenses send all light of a cell to the middle of its partner; partners of aimed cells lie
     1 + s C/A as far from the axis, by A and C of what lies before.
     """
     s, field = wanted.separation, wanted.has_field(eta)
     scale = np.where(field, 1.0 + s * before[:, 1, 0] / before[:, 0, 0], 1.0)
-    sheet = np.moveaxis(np.array([[scale, wanted.thickness(eta)], [k, 1.0 / eta]]), -1, 0)
-    return np.asarray(sheet @ before)
+    return np.moveaxis(np.array([[scale, wanted.thickness(eta)], [k, 1.0 / eta]]), -1, 0)

@@ -14,10 +14,10 @@ from math import inf
 
 import numpy as np
 
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints, Pair2
 from clacad.optics.law.imaging import slope_map
 from clacad.sheet.cell_places import CellLaws
-from clacad.sheet.stack import Stack, StackedSheet, lens_planes
+from clacad.sheet.stack import BadStack, Stack, StackedSheet, lens_planes
 from clacad.sheet.vignetting import partner_share
 
 
@@ -165,11 +165,15 @@ def _couples(matrix: Floats) -> bool:
 
 def _growth(one: StackedSheet) -> Floats:
     """Growth of a sheet's offset δ over it (2, 2), sheet axes, 1/length; 0 if homogeneous."""
+    return np.asarray(one.window.law.rotation[:2, :2] @ _growth_along_lenses(one))
+
+
+def _growth_along_lenses(one: StackedSheet) -> Floats:
+    """Growth of δ (2, 2), rows along the lens axes; 0 where a table gives each cell its own."""
     laws = one.window.cell_laws
-    if laws is None:
+    if laws is None or laws.smooth is None:
         return np.zeros((2, 2))
-    along_sheet = one.window.law.rotation[:2, :2] @ np.asarray(laws.gradient)
-    return np.asarray(along_sheet / one.scale)
+    return np.asarray(laws.gradient) / one.scale
 
 
 def _of_sheet(one: StackedSheet, axis: int, beams: bool) -> ChiefRays:
@@ -198,6 +202,80 @@ def _planes(one: StackedSheet, axis: int) -> tuple[float, float]:
 def length(stack: Stack, axis: int) -> float:
     """Length of a stack along z from its first lens plane to its last in a meridian."""
     return _planes(stack.sheets[-1], axis)[1] - _planes(stack.sheets[0], axis)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class ChiefRay:
+    """The chief ray of a cell through a stack, and the rays next to it: any sheet, tilted or from a table.
+
+    cells : (sheets, 2). Cells it passes.
+    place, slope : (2,). On array 2 of the last sheet, where the ray crosses its plane.
+    matrix : (4, 4). Their change per change of (x, y, t_x, t_y) on array 1 of the first sheet: of chief rays
+        of neighbours under a smooth law, of light that keeps to these cells where a table gives each its own.
+    """
+
+    cells: Ints
+    place: Floats
+    slope: Floats
+    matrix: Floats
+
+
+def about_cell(stack: Stack, cell: tuple[int, int], slope: Pair2 = (0.0, 0.0)) -> ChiefRay:
+    """Follow the chief ray of a cell of the first sheet, which has this slope there.
+
+    Raises BadStack: It is no cell, the ray misses a sheet, or its law has no answer there.
+    """
+    first = stack.sheets[0]
+    place = first.scale * first.window.centres(0, np.array(cell))
+    way, matrix, cells = np.array(slope), np.eye(4), []
+    for number, one in enumerate(stack.sheets):
+        if number:
+            gap = one.lens_planes[0] - stack.sheets[number - 1].lens_planes[1]
+            place, ahead = place + gap * way, np.eye(4)
+            ahead[:2, 2:] = gap * np.eye(2)
+            matrix = ahead @ matrix
+        window = one.window
+        index = window.locate(0, *(place[:, None] / one.scale))[0]
+        if not window.lattice.contains(index)[0]:
+            raise BadStack(
+                f"sheet {one.id}: the chief ray of cell {tuple(cell)} misses it, at {place.tolist()}"
+            )
+        place, way, own = _about(one, index[0], place, way)
+        matrix = own @ matrix
+        cells.append(index[0])
+    return ChiefRay(np.array(cells), place, way, matrix)
+
+
+def _about(one: StackedSheet, index: Ints, place: Floats, way: Floats) -> tuple[Floats, Floats, Floats]:
+    """Place and slope behind a sheet of a chief ray, and their derivative (4, 4)."""
+    window, pair = one.window, one.window.thin
+    laws = CellLaws(window.law) if window.cell_laws is None else window.cell_laws
+    law = laws.law_at(window.lattice, index)
+    a, (nx, ny, nz) = law.matrix(), law.rotation[:, 2]
+    out = a @ [*way, 1.0]
+    if not (out[2] > 0.0 and nx * way[0] + ny * way[1] + nz > 0.0):
+        raise BadStack(f"sheet {one.id}: its law has no answer at slope {way.tolist()}")
+    after = out[:2] / out[2]
+    per_slope = (a[:2, :2] - np.outer(after, a[2, :2])) / out[2]
+    moved = (
+        a @ law.rotation[:, :2] * (law.rotation[:, 2] @ [*way, 1.0])
+    )  # of `out`, per −δ along each lens axis
+    per_place = -(moved[:2] - np.outer(after, moved[2])) / out[2] @ _growth_along_lenses(one)
+    derivative = np.zeros((4, 4))
+    derivative[2:] = np.hstack([per_place, per_slope])
+    if pair.field:
+        scale = np.eye(2) + pair.second.aside(window.lattice)
+        derivative[:2, :2] = scale
+        middle = one.scale * window.centres(0, index)
+        return place + (scale - np.eye(2)) @ middle + one.scale * np.asarray(pair.shift), after, derivative
+    across = np.array([nx, ny])
+    cosine = float(across @ way) + nz
+    deep, level = one.scale * pair.separation / cosine, one.scale * pair.offset[2]
+    changes = -deep * np.outer(way - after, across) / cosine  # the plane of a tilted lens is met elsewhere
+    derivative[:2] = np.hstack(
+        [np.eye(2) + (level - deep) * per_place, deep * np.eye(2) + changes + (level - deep) * per_slope]
+    )
+    return place + deep * way + (level - deep) * after, after, derivative
 
 
 def expected_share(stack: Stack, place: Floats, direction: Floats) -> float:

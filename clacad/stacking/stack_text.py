@@ -8,7 +8,10 @@ from typing import Any
 
 from clacad.base.text import mrad_text, percent_text, short_size_text, table
 from clacad.base.units import millimetres
+from clacad.sheet.representative_cells import central_cell
+from clacad.sheet.stack import BadStack
 from clacad.stacking.assembly import sheet_facts
+from clacad.stacking.chief_matrices import about_cell
 from clacad.stacking.make_stack import Stacked
 from clacad.stacking.stack_light import StackMeridian
 
@@ -69,12 +72,27 @@ def _by_rays(one: StackMeridian) -> str:
     )
 
 
+def _about(made: Stacked, axis: int) -> str:
+    """The matrix about the chief ray of the central cell, along one axis and across it."""
+    cell = central_cell(made.stack.sheets[0].window)
+    try:
+        found = about_cell(made.stack, cell).matrix
+    except BadStack as refusal:
+        return f"; {refusal}"
+    (a, b), (c, d) = found[axis::2, axis::2].tolist()
+    mixed = abs(found[axis::2, 1 - axis :: 2]).max(axis=1).tolist()
+    return (
+        f"; next to the chief ray of cell {cell} ({a:.6g} x {b:+.6g} t, {c:.6g} x {d:+.6g} t), and of the"
+        f" other axis up to ({mixed[0]:.3g}, {mixed[1]:.3g})"
+    )
+
+
 def _spaces(made: Stacked) -> Iterable[str]:
     """Effect of the stack on space, one line a meridian."""
     lines = []
-    for name, one in zip(("x", "y"), made.exact.meridians, strict=True):
+    for axis, (name, one) in enumerate(zip(("x", "y"), made.exact.meridians, strict=True)):
         if one.matrix is None:
-            lines.append(f"{name}: no matrix in closed form: {one.no_matrix}{_by_rays(one)}")
+            lines.append(f"{name}: no one matrix: {one.no_matrix}{_about(made, axis)}{_by_rays(one)}")
             continue
         (a, b), (c, d) = (
             [0.0 if abs(v) < 1e-14 else v for v in row] for row in one.matrix

@@ -112,6 +112,9 @@ HARD = {
     "gaps a million to one": (-1.2, -0.9, 5.0, (1e-3, 1e3)),
     "eta of 5 decades": (-200.0, 0.003, 5.0, (50.0, 50.0)),
     "micrometres": (-1.17, -0.93, 5e-3, (0.16, 0.32)),
+    "least product of eta that is searched": (-0.2, 0.2, 1e-3, (100.0, 100.0)),
+    "gaps of almost 0": (-1.2, -0.9, 5.0, (1e-12, 3e-12)),
+    "sheet b almost without focus": (-1.0, -1 / 3 + 1e-9, 0.0, (100.0, 100.0)),
 }
 
 
