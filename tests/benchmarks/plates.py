@@ -9,7 +9,6 @@ at most 3 times per ray. With a file name the table is written there.
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import tempfile
@@ -46,9 +45,8 @@ def spent(work: Callable[[], object]) -> float:
 
 
 def facets_of(folder: Path) -> int:
-    """Facets in the files of an export."""
-    files = json.loads((folder / "manifest.json").read_text())["files"]
-    return sum(one.get("facets") or one.get("facts", {}).get("facets", 0) for one in files)
+    """Facets in the binary STL files of an export: 50 bytes each after a head of 84."""
+    return sum((one.stat().st_size - 84) // 50 for one in folder.glob("*.stl"))
 
 
 def verified(folder: Path) -> dict[str, tuple[float, int]]:
@@ -88,7 +86,6 @@ def traced() -> dict[str, float]:
 def main(into: str = "") -> int:
     """Measure, print and write; 1 where a ratio is beyond its target."""
     rays = traced()
-    print(rays)
     with tempfile.TemporaryDirectory() as folder:
         files = verified(Path(folder))
     few, many = KINDS
