@@ -132,7 +132,7 @@ def _radius(of: Scanned, name: Name, one: Surface) -> Check:
     side = one.lit.side
     relative = 0.5 * one.lit.u_scale
     radius, u, _ = mean_radius(one, relative)
-    designed = 1.0 / side.lenslet[3]
+    designed = one.radius
     off = radius / designed - 1.0
     body = side.body
     tile = side.lattice.tile()
@@ -146,12 +146,12 @@ def _radius(of: Scanned, name: Name, one: Surface) -> Check:
 
 def _astigmatic(one: Surface) -> str:
     """Words about astigmatism that is clearly there."""
-    mean = 2.0 * (one.lenslets.values[:, 5:] - one.lit.side.lenslet[5:]).mean(axis=0)
+    mean = 2.0 * (one.lenslets.values[:, 5:] - one.targets[:, 5:]).mean(axis=0)
     doubt = 2.0 * float(np.sqrt(np.mean(one.lenslets.u[:, 5:] ** 2) / len(one.lenslets.index)))
     size = float(np.hypot(*mean))
-    if size < max(4.0 * doubt, 5e-4 * abs(one.lit.side.lenslet[3])):
+    if size < max(4.0 * doubt, 5e-4 * abs(one.targets[:, 3].mean())):
         return ""
-    part = percent_text(size / abs(one.lit.side.lenslet[3]), 2)
+    part = percent_text(size / abs(one.targets[:, 3].mean()), 2)
     return f"; astigmatic: curvature along its axes {part} more and less"
 
 
@@ -161,7 +161,7 @@ def _other_side(name: Name, one: Surface, radius: float, u: float) -> str:
 
     side = one.lit.side
     other = sides_of(side.window, side.millimetre)[OTHER[name]]
-    theirs, own = 1.0 / other.lenslet[3], 1.0 / side.lenslet[3]
+    theirs, own = 1.0 / other.lenslet[3], one.radius
     nearer = abs(radius - theirs) < 0.25 * abs(radius - own) and abs(theirs - own) > 4.0 * u
     return (
         f"; this is the radius of the {OTHER[name]} ({theirs:.6g}): sides or plates exchanged"

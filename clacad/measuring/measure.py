@@ -20,7 +20,7 @@ from clacad.measuring.light_through_form import light_through_form, texture_shar
 from clacad.measuring.measured import Measured
 from clacad.measuring.read_map import MeasuredMap, read_map
 from clacad.measuring.scales import HEIGHTS, LATERAL, Scale, Stated, scale_by_tilt, scale_of
-from clacad.measuring.sides import Name, Side, sides_of
+from clacad.measuring.sides import Cells, Name, Side, cells_in_map, sides_of
 from clacad.prescription.prescribe import prescribe
 from clacad.storage.errors import BadRequest
 
@@ -40,6 +40,7 @@ class Maps:
     z_scale: Stated = None
     lateral_scale: Stated = None
     unit: str | None = None
+    cell: tuple[int, int] | None = None
 
     def measured(self, design: Design, progress: Progress) -> Measured:
         """Measure the part; see `measure`."""
@@ -51,6 +52,7 @@ class Maps:
             z_scale=self.z_scale,
             lateral_scale=self.lateral_scale,
             unit=self.unit,
+            cell=self.cell,
             progress=progress,
         )
 
@@ -77,6 +79,7 @@ def measure(
     z_scale: Stated = None,
     lateral_scale: Stated = None,
     unit: str | None = None,
+    cell: tuple[int, int] | None = None,
     progress: Progress | None = None,
 ) -> Measured:
     """Measure a made part by height maps of its sides, and judge it by its light.
@@ -102,6 +105,9 @@ def measure(
         None: 1 +- 0.01 for heights; laterally as the pitch bears it out.
     unit : str or None
         Length unit of a cloud that states none, such as "um".
+    cell : (int, int) or None
+        Cell (i, j) of the sheet nearest to the middle of the map. None: found where an edge of the array is in
+        the map; else of a non-uniform sheet the middle.
     progress : callable or None
         Called with a stage's name and the fraction done, 0 … 1.
 
@@ -158,11 +164,11 @@ def measure(
         heights = _by_tilt(
             read[first], read_map(tilted, unit), sides[first], heights, lateral.value, design.unit_m
         )
-    fitted: dict[Name, tuple[MeasuredMap, Lenslets]] = {}
+    fitted: dict[Name, tuple[MeasuredMap, Lenslets, Cells]] = {}
     for name, one in read.items():
         told(f"fitting the lenslets of the {name}", 0.3)
-        fitted[name] = _fitted(one, sides[name], heights.value, lateral.value, design.unit_m)
-    found = _surfaces(fitted, sides, heights, lateral)
+        fitted[name] = _fitted(one, sides[name], heights.value, lateral.value, design.unit_m, cell)
+    found = _surfaces(_alike(fitted), sides, heights, lateral)
     told("sending light through the measured form", 0.6)
     light = light_through_form(
         window, {name: one.lit for name, one in found.items()}, design.check.field, design.check.field_centre
@@ -177,37 +183,66 @@ def measure(
     return Measured(design, found, heights, lateral, light, prod(shares), scan_checks(judged))
 
 
+def _alike(
+    fitted: Mapping[Name, tuple[MeasuredMap, Lenslets, Cells]],
+) -> dict[Name, tuple[MeasuredMap, Lenslets, Cells]]:
+    """Maps of both sides whose middles show one cell, where no edge says otherwise."""
+    cells = [of for _, _, of in fitted.values()]
+    first, known = list(cells[0].first), list(cells[0].known)
+    for of in cells:
+        for k in (0, 1):
+            if known[k] == "assumed":
+                first[k], known[k] = of.first[k], of.known[k]
+    found = {}
+    for name, (measured, lenslets, of) in fitted.items():
+        own = [first[k] if of.known[k] == "assumed" else of.first[k] for k in (0, 1)]
+        found[name] = measured, lenslets, replace(of, first=(own[0], own[1]))
+    return found
+
+
 def _surfaces(
-    fitted: Mapping[Name, tuple[MeasuredMap, Lenslets]],
+    fitted: Mapping[Name, tuple[MeasuredMap, Lenslets, Cells]],
     sides: Mapping[Name, Side],
     heights: Scale,
     lateral: Scale,
 ) -> dict[Name, Surface]:
     """Measured sides; all radii together are uncertain by both scales."""
     found = {}
-    for name, (measured, lenslets) in fitted.items():
+    for name, (measured, lenslets, cells) in fitted.items():
         half = lateral.half
         if lateral.origin == "assumed":  # a pitch that agrees with the design's bears the scale out
             wanted = [hypot(*sides[name].lattice.a1), hypot(*sides[name].lattice.a2)]
             off = max(abs(p / q - 1.0) for p, q in zip(lenslets.pitch, wanted, strict=True))
             half = min(half, max(off, SURE))
-        found[name] = surface_of(measured, sides[name], lenslets, hypot(heights.half, 2.0 * half))
+        found[name] = surface_of(measured, cells, lenslets, hypot(heights.half, 2.0 * half))
     return found
 
 
 def _fitted(
-    measured: MeasuredMap, side: Side, height: float, lateral: float, unit_m: float
-) -> tuple[MeasuredMap, Lenslets]:
-    """Map in design units with its scales taken off, and its lenslets."""
+    measured: MeasuredMap,
+    side: Side,
+    height: float,
+    lateral: float,
+    unit_m: float,
+    stated: tuple[int, int] | None = None,
+) -> tuple[MeasuredMap, Lenslets, Cells]:
+    """Map in design units with its scales taken off, its lenslets, and the cells of the sheet that they are."""
     one = measured.scaled(lateral * unit_m, height * unit_m)
     _refuse_heights(one, side)
-    lenslets = fit_lenslets(one, side.lattice, side.aperture, side.lenslet)
+    cells = cells_in_map(side, np.zeros((1, 2), dtype=np.int64), np.zeros((0, 2), dtype=np.int64), stated)
+    for _ in range(2):
+        lenslets = fit_lenslets(
+            one, side.lattice, side.aperture, lambda index, of=cells: side.numbers(of.of(index))
+        )
+        before, cells = cells, cells_in_map(side, lenslets.index, lenslets.empty, stated)
+        if side.alike or cells.first == before.first:
+            break
     _, a, b = lenslets.pose
     if hypot(a, b) > STEEPEST:
         raise NotMeasurable(
             f"{one.name}: it is tilted by {hypot(a, b):.2g} rad; {STEEPEST:g} rad is the most"
         )
-    return one, lenslets
+    return one, lenslets, cells
 
 
 def _refuse_heights(measured: MeasuredMap, side: Side) -> None:

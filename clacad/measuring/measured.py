@@ -12,7 +12,7 @@ from clacad.base.interactive import Tabular, columns_of
 from clacad.base.text import mrad_text, percent_text, plain, table
 from clacad.checks.check import Check, short_table
 from clacad.checks.scan_kinds import CANNOT_SAY
-from clacad.measuring.fit_lenslets import NAMES, conic
+from clacad.measuring.fit_lenslets import NAMES
 from clacad.measuring.form_and_seams import Surface
 from clacad.measuring.light_through_form import FormLight
 from clacad.measuring.scales import Scale
@@ -253,13 +253,13 @@ def _iso_rows(name: Name, one: Surface, unit: str, found: Measured) -> list[IsoR
     side, lens = one.lit.side, one.lenslets
     radius, u, constant = mean_radius(one, found.u_radius)
     radii = 1.0 / lens.values[:, 3]
-    designed = 1.0 / side.lenslet[3]
+    designed = one.radius
     body = side.body
     focal = designed / (body.index - 1.0), radius / (body.index - 1.0)
-    off = one.lit.lenslets.values[:, :2]
+    off = lens.values[:, :2] - one.targets[:, :2]
     micron = found.design.unit_m * 1e6
     pitch = [float(np.hypot(*side.lattice.a1)), float(np.hypot(*side.lattice.a2))]
-    depth = one.lenslets.values[:, 3].mean() / side.lenslet[3] * side.sag
+    depth = lens.values[:, 3].mean() / one.targets[:, 3].mean() * side.sag
     wave = form_rms(one) * (body.index - 1.0)
     nano = found.design.unit_m * 1e9
     spread = percent_text(float(np.std(radii / radii.mean())), 3, unit="")
@@ -269,7 +269,7 @@ def _iso_rows(name: Name, one: Surface, unit: str, found: Measured) -> list[IsoR
         ("pitch y", unit, f"{pitch[1]:.6g}", f"{lens.pitch[1]:.7g}"),
         ("radius of curvature", unit, f"{designed:.6g}", f"{radius:.6g} ± {2.0 * u:.2g}"),
         ("uniformity of the radius (standard deviation)", "%", "0", spread),
-        ("conic constant", "", f"{side.lenslet[4]:.3f}", f"{constant:.3f}"),
+        ("conic constant", "", f"{one.targets[:, 4].mean():.3f}", f"{constant:.3f}"),
         ("surface modulation depth", unit, f"{side.sag:.5g}", f"{depth:.5g}"),
         ("lens middle positions (rms about the lattice)", "µm", "0", f"{middles:.3g}"),
         ("focal length, as derived", unit, f"{focal[0]:.6g}", f"{focal[1]:.6g}"),
@@ -282,14 +282,12 @@ def _iso_rows(name: Name, one: Surface, unit: str, found: Measured) -> list[IsoR
 def form_rms(one: Surface) -> float:
     """Rms (length) of the form of all lenslets against the design's, without height, tilt and defocus."""
     lens = one.lenslets
-    line = np.linspace(-1.0, 1.0, 21)
-    u, v = (g.ravel() for g in np.meshgrid(*(line * half for half in lens.aperture.half), indexing="ij"))
-    inside = lens.aperture.holds(u, v)
-    u, v = u[inside], v[inside]
+    u, v = lens.aperture.grid(21)
+    cells = one.lit.cells.of(lens.index)
     plane = np.column_stack([np.ones(len(u)), u, v, u * u + v * v])
     squares = []
     for k in range(len(lens.index)):
-        off = lens.heights(k, u, v) - conic(one.lit.side.lenslet, u, v, slopes=False)[0]
+        off = lens.heights(k, u, v) - one.lit.side.heights(cells[k], u, v)
         off = off - plane @ np.linalg.lstsq(plane, off, rcond=None)[0]
         squares.append(float(np.mean(off**2)))
     return float(np.sqrt(np.mean(squares)))
