@@ -255,6 +255,5 @@ def _refuse_period(measured: MeasuredMap, basis: Floats, design: Pattern) -> Non
             f"{measured.name}: lenslets every {got[0]:.5g} and {got[1]:.5g}, by the design every"
             f" {wanted[0]:.5g} and"
             f" {wanted[1]:.5g}: {100.0 * off[worst]:+.3g} %, and {100.0 * OFF:g} % is the most:"
-            f" another part, or"
-            " another lateral scale"
+            f" another part, another lateral scale, or pieces that are bonded with a gap"
         )

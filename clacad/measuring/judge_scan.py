@@ -67,6 +67,15 @@ def _light(of: Scanned) -> Check:
     both = [name for name in ("front", "back") if name not in of.sides]
     text += f", and the {both[0]}" if both else ""
     detail: dict[str, Any] = {"low": light.low, "high": light.high, "by_cell": light.by_cell}
+    guessed = [
+        one for one in of.sides.values() if not one.lit.side.alike and "assumed" in one.lit.cells.known
+    ]
+    if guessed and not light.high <= limit:
+        cells = guessed[0].lit.cells
+        why = (
+            f"which cells the map shows is not known, {cells} nearest to its middle (--cell, or map an edge)"
+        )
+        return _open(SCAN_LIGHT, light.rms, limit, text, why, detail)
     if light.high <= limit or light.low > limit:
         return SCAN_LIGHT.judge(light.rms, limit, text, detail=detail)
     return _open(SCAN_LIGHT, light.rms, limit, text, _needed(of, limit), detail)
@@ -114,17 +123,61 @@ def _pitch(of: Scanned, name: Name, one: Surface) -> Check:
     off = np.array(lens.pitch) / wanted - 1.0
     worst = float(off[np.argmax(np.abs(off))])
     text = f"{name}: pitch {lens.pitch[0]:.7g} and {lens.pitch[1]:.7g}, {worst:+.2g} of the design's"
-    if abs(worst) > PITCH:
+    step, bond = _bond(one)
+    if abs(worst) > PITCH and not step:
         same = np.ptp(off) < 0.1 * abs(worst)
         what = "shrinkage" if worst < 0.0 else "swelling"
         text += f": {what} of the part, or another lateral scale" if same else ": other along x than along y"
     turn = lens.pose[0]
-    text += f"; turned by {np.degrees(turn):.3g} deg in its map" if abs(turn) > SKEWED else ""
+    if abs(turn) > SKEWED:
+        text += f"; the array is rotated by {np.degrees(turn):.3g} deg in its map"
+    text += bond
+    if step > PITCH * float(wanted.min()):
+        return SCAN_PITCH.check("fail", text, step / float(wanted.min()), PITCH)
     limit, doubt = PITCH, of.lateral_scale.half
     if abs(worst) - doubt > limit or abs(worst) + doubt <= limit:
         return SCAN_PITCH.judge(abs(worst), limit, text)
     why = f"the lateral scale is known to {percent_text(doubt, 2)} (--lateral-scale)"
     return _open(SCAN_PITCH, abs(worst), limit, text, why, {})
+
+
+CLEAR = 6.0
+"""Step of a lattice over its standard deviation from which it is a bond of two pieces."""
+
+
+def _bond(one: Surface) -> tuple[float, str]:
+    """Largest step (length) between two pieces of an array, and words about it; 0 where there is none.
+
+    Pieces bonded to one array have its lattice each, and a displacement against each other along a line.
+    """
+    lens, unit = one.lenslets, one.lit.side.millimetre * 1e-3
+    off = lens.values[:, :2] - one.targets[:, :2]
+    best, found = 0.0, (0.0, "")
+    for axis, name in ((0, "i"), (1, "j")):
+        for edge in np.unique(lens.index[:, axis])[1:]:
+            design = np.column_stack([np.ones(len(off)), lens.index, lens.index[:, axis] >= edge])
+            if np.linalg.matrix_rank(design) < 4 or len(off) < 8:
+                continue
+            solved, *_ = np.linalg.lstsq(design, off, rcond=None)
+            rest = float(np.sum((off - design @ solved) ** 2)) / (2 * (len(off) - 4))
+            spread = np.sqrt(max(rest, float(np.mean(lens.u[:, :2] ** 2))))
+            u = spread * np.sqrt(np.linalg.inv(design.T @ design)[3, 3])
+            step = float(np.hypot(*solved[3]))
+            if step / u > max(best, CLEAR):
+                x, y = solved[3] / unit
+                words = (
+                    f"; two pieces are bonded: from {name} = {edge} on lenslets are displaced by {x:.3g},"
+                    f" {y:.3g} µm"
+                )
+                best, found = step / u, (step, words)
+    return found
+
+
+def _insert(one: Surface, off: float, u: float) -> str:
+    """Words where all lenslets alike have another radius."""
+    spread = float(np.std(one.lenslets.values[:, 3]) / abs(one.lenslets.values[:, 3].mean()))
+    alike = abs(off) > 5.0 * max(spread, 1e-4) and abs(off) > 4.0 * u
+    return "; all its lenslets alike: another insert or tool, or another scale of heights" if alike else ""
 
 
 def _radius(of: Scanned, name: Name, one: Surface) -> Check:
@@ -139,7 +192,7 @@ def _radius(of: Scanned, name: Name, one: Surface) -> Check:
     distance = sqrt(float(np.mean(np.sum(tile**2, axis=1))) / 3.0)  # rms over a square or hexagon, nearly
     limit = of.design.check.law_rms * abs(designed) / (abs(body.index - 1.0) * distance)
     text = f"{name}: radius {radius:.6g} ± {2.0 * u:.2g}, {100.0 * off:+.3g} % of the design's {designed:.6g}"
-    text += _astigmatic(one) + _other_side(name, one, radius, u)
+    text += _astigmatic(one) + (_other_side(name, one, radius, u) or _insert(one, off, u / abs(radius)))
     check = SCAN_RADIUS.judge(abs(off), limit, text, required=False)
     return replace(check, state="warn") if check.state == "fail" else check
 

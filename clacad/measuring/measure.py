@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, prod
+from math import hypot, log, prod
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from clacad.design import Design
 
 Path = str | os.PathLike[str]
+Given = Path | MeasuredMap | tuple[Path | MeasuredMap, tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -41,20 +42,62 @@ class Maps:
     lateral_scale: Stated = None
     unit: str | None = None
     cell: tuple[int, int] | None = None
+    named: bool = True
 
     def measured(self, design: Design, progress: Progress) -> Measured:
-        """Measure the part; see `measure`."""
+        """Measure the part; see `measure`.
+
+        named : Whether the sides of the files are known; else they follow from the curvature of the maps.
+        """
+        front, back = (self.front, self.back) if self.named else self._by_curvature(design)
+        if self.cell is not None:
+            front, back = (
+                (front, self.cell) if front is not None else None,
+                (back, self.cell) if back is not None and front is None else back,
+            )
         return measure(
             design,
-            self.front,
-            self.back,
+            front,
+            back,
             tilted=self.tilted,
             z_scale=self.z_scale,
             lateral_scale=self.lateral_scale,
             unit=self.unit,
-            cell=self.cell,
             progress=progress,
         )
+
+    def _by_curvature(self, design: Design) -> tuple[Path | None, Path | None]:
+        """The files, exchanged where their radii are nearer to those of the other sides of the design."""
+        sides = sides_of(prescribe(design), 1e-3 / design.unit_m)
+        apart = abs(log(sides["front"].lenslet[3] / sides["back"].lenslet[3]))
+        if apart < APART:
+            return self.front, self.back
+        heights, lateral = (
+            scale_of(self.z_scale, HEIGHTS, "z_scale"),
+            scale_of(self.lateral_scale, LATERAL, "lateral_scale"),
+        )
+        kept, swapped = [], []
+        for name, path in (("front", self.front), ("back", self.back)):
+            if path is not None:
+                one = read_map(path, self.unit)
+                for other in SIDES:
+                    miss = _miss(one, sides[other], heights.value, lateral.value, design.unit_m)
+                    (kept if other == name else swapped).append(miss)
+        return (self.back, self.front) if sum(swapped) < sum(kept) else (self.front, self.back)
+
+
+SIDES: tuple[Name, Name] = ("front", "back")
+APART = 0.03
+"""Least relative difference of the radii of front and back by which a map is told from the other."""
+
+
+def _miss(measured: MeasuredMap, side: Side, height: float, lateral: float, unit_m: float) -> float:
+    """Relative difference of the radius of a map to that of a side; 1 where the map is not measurable."""
+    try:
+        lens = _fitted(measured, side, height, lateral, unit_m)[1]
+    except NotMeasurable:
+        return 1.0
+    return abs(log(float(np.median(lens.values[:, 3])) / side.lenslet[3]))
 
 
 SURE = 2e-5
@@ -72,14 +115,13 @@ LIT = 550e-9
 
 def measure(
     design: Design,
-    front: Path | MeasuredMap | None = None,
-    back: Path | MeasuredMap | None = None,
+    front: Given | None = None,
+    back: Given | None = None,
     *,
     tilted: Path | None = None,
     z_scale: Stated = None,
     lateral_scale: Stated = None,
     unit: str | None = None,
-    cell: tuple[int, int] | None = None,
     progress: Progress | None = None,
 ) -> Measured:
     """Measure a made part by height maps of its sides, and judge it by its light.
@@ -92,10 +134,10 @@ def measure(
     Parameters
     ----------
     design : Design
-    front, back : path or None
+    front, back : path, (path, (i, j)) or None
         Map of the side that light reaches first, and of the other: X3P, SDF, a cloud x y z, or NPY, TIFF or
-        PNG with
-        a JSON file next to it.
+        PNG with a JSON file next to it. (i, j): cell of the sheet nearest to its middle; without it, it is
+        found where an edge of the array is in the map, and is else the middle of a non-uniform sheet.
     tilted : path or None
         A second map of the field of `front` (without one: of `back`), the specimen tilted by about 8
         degrees: it
@@ -105,9 +147,6 @@ def measure(
         None: 1 +- 0.01 for heights; laterally as the pitch bears it out.
     unit : str or None
         Length unit of a cloud that states none, such as "um".
-    cell : (int, int) or None
-        Cell (i, j) of the sheet nearest to the middle of the map. None: found where an edge of the array is in
-        the map; else of a non-uniform sheet the middle.
     progress : callable or None
         Called with a stage's name and the fraction done, 0 … 1.
 
@@ -143,8 +182,11 @@ def measure(
       pass  5 checks
     pass: light through the measured form leaves 0.166 mrad rms from the law ...
     """
-    given: dict[Name, Path | MeasuredMap | None] = {"front": front, "back": back}
-    maps = {name: one for name, one in given.items() if one is not None}
+    given: dict[Name, Given | None] = {"front": front, "back": back}
+    told_of = {
+        name: one if isinstance(one, tuple) else (one, None) for name, one in given.items() if one is not None
+    }
+    maps = {name: one for name, (one, _) in told_of.items()}
     if not maps:
         raise BadRequest("no map to measure: give front, back or both")
     told = shown_progress(progress)
@@ -167,7 +209,9 @@ def measure(
     fitted: dict[Name, tuple[MeasuredMap, Lenslets, Cells]] = {}
     for name, one in read.items():
         told(f"fitting the lenslets of the {name}", 0.3)
-        fitted[name] = _fitted(one, sides[name], heights.value, lateral.value, design.unit_m, cell)
+        fitted[name] = _fitted(
+            one, sides[name], heights.value, lateral.value, design.unit_m, told_of[name][1]
+        )
     found = _surfaces(_alike(fitted), sides, heights, lateral)
     told("sending light through the measured form", 0.6)
     light = light_through_form(
@@ -273,12 +317,13 @@ def _by_tilt(
 
 
 def maps_of(paths: Sequence[str | os.PathLike[str]], sides: Mapping[str, str], stated: Maps) -> Maps:
-    """Maps of files: their sides as stated, else by their names, else the front and then the back.
+    """Maps of files: their sides as stated, else by their names, else by their curvature.
 
     sides : File name → "front" or "back".
     Raises BadRequest: Two files of one side, more than two, or a side of a file that is not given.
     """
     found: dict[str, Path] = {}
+    told = False
     names = {os.path.basename(path): path for path in paths}
     idle = [name for name in sides if name not in names or sides[name] not in ("front", "back")]
     if idle or len(paths) > 2:
@@ -287,10 +332,11 @@ def maps_of(paths: Sequence[str | os.PathLike[str]], sides: Mapping[str, str], s
     for name, path in names.items():
         by_name = [side for side in ("front", "back") if side in name.lower()]
         free = [side for side in ("front", "back") if side not in found]
+        told |= name in sides or len(by_name) == 1
         side = sides.get(name) or (by_name[0] if len(by_name) == 1 else free[0])
         if side in found:
             raise BadRequest(
                 f"{os.path.basename(found[side])} and {name} are both of the {side}: --side FILE=back"
             )
         found[side] = path
-    return replace(stated, front=found.get("front"), back=found.get("back"))
+    return replace(stated, front=found.get("front"), back=found.get("back"), named=told)

@@ -93,7 +93,11 @@ class Measured(Tabular):
     def to_columns(self) -> dict[str, Any]:
         """One row for each lenslet."""
         return columns_of(
-            [row | _split(row) for name, one in self.sides.items() for row in _rows(name, one, self.u_radius)]
+            [
+                {key: row[key] for key in row if key != "cell"} | _split(row)
+                for name, one in self.sides.items()
+                for row in _rows(name, one, self.u_radius)
+            ]
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -134,6 +138,8 @@ class Measured(Tabular):
         half = one.lenslets.aperture.reach.min()
         return {
             **_pose(one),
+            "first_cell": list(one.lit.cells.first),
+            "first_cell_known_by": list(one.lit.cells.known),
             "file": one.measured.name,
             "pixel": list(one.measured.pixel),
             "missing": one.measured.missing,
@@ -189,6 +195,7 @@ def _rows(name: Name, one: Surface, relative: float) -> list[dict[str, Any]]:
     along = lens.lattice.basis[:, 0] / np.linalg.norm(lens.lattice.basis[:, 0])
     turn = np.array([[along[0], along[1]], [-along[1], along[0]]])
     middles = lens.index @ lens.lattice.basis.T @ turn.T + values[:, :2]
+    own = one.lit.cells.of(lens.index)
     rows = []
     for k, (i, j) in enumerate(lens.index.tolist()):
         of = dict(zip(NAMES, values[k], strict=True))
@@ -198,6 +205,7 @@ def _rows(name: Name, one: Surface, relative: float) -> list[dict[str, Any]]:
                 "side": name,
                 "i": i,
                 "j": j,
+                "cell": own[k].tolist(),
                 "x": middles[k, 0],
                 "y": middles[k, 1],
                 "z": of["z"],
@@ -220,7 +228,15 @@ def _rows(name: Name, one: Surface, relative: float) -> list[dict[str, Any]]:
 def _split(row: Mapping[str, Any]) -> dict[str, Any]:
     """Astigmatism as single numbers, for tables."""
     (a, b), (u, v) = row["astigmatism"], row["u_astigmatism"]
-    return {"astigmatism": a, "astigmatism_45": b, "u_astigmatism": u, "u_astigmatism_45": v}
+    i, j = row["cell"]
+    return {
+        "cell_i": i,
+        "cell_j": j,
+        "astigmatism": a,
+        "astigmatism_45": b,
+        "u_astigmatism": u,
+        "u_astigmatism_45": v,
+    }
 
 
 def facts_of(found: Measured) -> list[tuple[str, str]]:

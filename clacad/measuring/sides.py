@@ -118,8 +118,8 @@ class Side:
         start = self.lenslet.copy()
         sx, sy = self.signs
         x, y, z = (float(v) for v in places.apex)
-        start[:3] += [sx * (x - self.face.vertex[0]), sy * (y - self.face.vertex[1]),
-                      -self.face.side * (z - self.face.vertex[2])]  # fmt: skip
+        dx, dy, dz = (one - before for one, before in zip((x, y, z), self.face.vertex, strict=True))
+        start[:3] += [sx * dx, sy * dy, -self.face.side * dz]
         start[[3, 5, 6]] /= 1.0 if places.size is None else float(places.size)
         return fit_heights(self.aperture, lambda u, v: self.heights(cell, u, v), start, 3)
 
