@@ -111,7 +111,14 @@ def _announced(
 def _maps(request: Verify) -> Maps | None:
     """The height maps of a measured part among the files; None where they are files of another kind."""
     files = [] if request.files is None else [request.files, *request.also]
-    stated = [request.z_scale, request.lateral_scale, request.tilted, request.unit, request.cell, *request.side]
+    stated = [
+        request.z_scale,
+        request.lateral_scale,
+        request.tilted,
+        request.unit,
+        request.cell,
+        *request.side,
+    ]
     scan = per_format("--role", request.role) == "scan"
     only = any(one is not None for one in stated) or len(files) > 1
     if not files or not (scan or only):
@@ -132,7 +139,9 @@ def _maps(request: Verify) -> Maps | None:
     sides = per_format("--side", request.side) or {}
     if isinstance(sides, str):
         raise BadOption(f"--side {sides}: it is FILE=front or FILE=back")
-    given = Maps(None, None, request.tilted, request.z_scale, request.lateral_scale, request.unit, request.cell)
+    given = Maps(
+        None, None, request.tilted, request.z_scale, request.lateral_scale, request.unit, request.cell
+    )
     return maps_of(files, sides, given)
 
 

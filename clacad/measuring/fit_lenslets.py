@@ -48,6 +48,10 @@ LENS = (0.5, 2.0)
 NEAR = (3, 4)
 """Degrees of the polynomials next to those of radius and conic constant (2 and 4)."""
 
+GUARD = 1.2
+"""Factor by which standard deviations are stated larger than the noise of a lenslet gives them: they are
+known to some per cent only, and twice them must hold 95 % of few lenslets, too."""
+
 THIN = 2500
 """Points of a lenslet of the first fit."""
 
@@ -215,7 +219,7 @@ class _Grid:
     basis : (k, c). Legendre polynomials there.
     inverse : (c, k). Coefficients of heights there, by least squares.
     waves : (w, k) complex. Waves shorter than the polynomials, down to half as long, by which noise is found.
-    power : Sum of the squares of their coefficients that white noise of rms 1 has once polynomials are fitted.
+    power : Sum of the squares of their coefficients of white noise of rms 1, less fitted polynomials.
     """
 
     aperture: Aperture
@@ -258,7 +262,8 @@ def _grid(aperture: Aperture, pixel: float) -> _Grid:
     waves = _waves(scaled, 0.5 * (degree + 1), 0.5 * (side - 1))
     fitted = np.linalg.qr(basis)[0]
     power = waves.shape[0] * waves.shape[1] - float((np.abs(waves @ fitted) ** 2).sum())
-    return _Grid(aperture, side, inside, places, basis, np.linalg.pinv(basis), waves, power)
+    inverse = np.asarray(np.linalg.pinv(basis), dtype=np.float64)
+    return _Grid(aperture, side, inside, places, basis, inverse, waves, power)
 
 
 def _waves(scaled: Floats, longest: float, shortest: float) -> NDArrayComplex:
@@ -337,7 +342,7 @@ def _scatter(form: Floats, u_form: Floats) -> float:
     count = len(form)
     off = form[:, near] - (form[:, near].mean(axis=0) if count > 1 else 0.0)
     square = np.mean(off**2 / np.maximum(u_form[:, near] ** 2, 1e-300), axis=1) * count / max(1, count - 1)
-    return max(1.0, float(np.median(square)))
+    return GUARD**2 * max(1.0, float(np.median(square)))
 
 
 def _empty(
@@ -359,7 +364,7 @@ def _empty(
     touched = set(map(tuple, np.unique(cell, axis=0).tolist()))
     lenses, fitted = set(map(tuple, index.tolist())), set(seen)
     bare = [tuple(one) not in touched or (tuple(one) in fitted - lenses) for one in every.tolist()]
-    return every[np.array(bare, dtype=bool)]
+    return np.asarray(every[np.array(bare, dtype=bool)])
 
 
 def _is_lens(values: Floats, wanted: Floats, aperture: Aperture) -> bool:

@@ -11,7 +11,7 @@ from clacad.base.types import Bools, Floats, Ints
 from clacad.measuring.fit_lenslets import CLIPPED, Lenslets, conic
 from clacad.measuring.light_through_form import MeasuredSide, parts_of
 from clacad.measuring.read_map import MeasuredMap
-from clacad.measuring.sides import Cells
+from clacad.measuring.sides import ShownCells
 
 BINS = 128
 """Most parts of a cell along each side that are formed or not."""
@@ -65,7 +65,7 @@ class Surface:
         return float(np.sqrt(np.mean(self.sq**2)))
 
 
-def surface_of(measured: MeasuredMap, cells: Cells, lenslets: Lenslets, u_scale: float) -> Surface:
+def surface_of(measured: MeasuredMap, cells: ShownCells, lenslets: Lenslets, u_scale: float) -> Surface:
     """Separate formed surface from seams and texture, point by point.
 
     u_scale : Half width of the relative uncertainty of heights.

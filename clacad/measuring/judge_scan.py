@@ -49,7 +49,26 @@ def scan_checks(of: Scanned) -> tuple[Check, ...]:
     found = [_light(of), _seam(of)]
     for name, one in of.sides.items():
         found += [_pitch(of, name, one), _radius(of, name, one), _form(of, name, one)]
+    unsure = _unknown_cells(of)
+    if unsure and any(check.state != "pass" for check in found):
+        found = [check if check.state == "pass" else _undecided(check, unsure) for check in found]
     return tuple(replace(check, subject=subject) for check in found)
+
+
+def _unknown_cells(of: Scanned) -> str:
+    """Words where lenses are not alike, and which of them a map shows is only assumed; else ""."""
+    for one in of.sides.values():
+        if not one.lit.side.alike and "assumed" in one.lit.cells.known:
+            return (
+                f"which cells the map shows is not known, taken as {one.lit.cells} (--cell, or map an edge)"
+            )
+    return ""
+
+
+def _undecided(check: Check, why: str) -> Check:
+    """A check whose answer hangs on the cells that the map shows."""
+    detail = {**check.detail, CANNOT_SAY: why}
+    return replace(check, state="not run", sentence=f"cannot say: {check.sentence}; {why}", detail=detail)
 
 
 def _light(of: Scanned) -> Check:
@@ -67,15 +86,6 @@ def _light(of: Scanned) -> Check:
     both = [name for name in ("front", "back") if name not in of.sides]
     text += f", and the {both[0]}" if both else ""
     detail: dict[str, Any] = {"low": light.low, "high": light.high, "by_cell": light.by_cell}
-    guessed = [
-        one for one in of.sides.values() if not one.lit.side.alike and "assumed" in one.lit.cells.known
-    ]
-    if guessed and not light.high <= limit:
-        cells = guessed[0].lit.cells
-        why = (
-            f"which cells the map shows is not known, {cells} nearest to its middle (--cell, or map an edge)"
-        )
-        return _open(SCAN_LIGHT, light.rms, limit, text, why, detail)
     if light.high <= limit or light.low > limit:
         return SCAN_LIGHT.judge(light.rms, limit, text, detail=detail)
     return _open(SCAN_LIGHT, light.rms, limit, text, _needed(of, limit), detail)
@@ -152,7 +162,8 @@ def _bond(one: Surface) -> tuple[float, str]:
     """
     lens, unit = one.lenslets, one.lit.side.millimetre * 1e-3
     off = lens.values[:, :2] - one.targets[:, :2]
-    best, found = 0.0, (0.0, "")
+    wanted = np.hypot(*np.array([one.lit.side.lattice.a1, one.lit.side.lattice.a2]).T)
+    found: list[tuple[float, float, float, str]] = []
     for axis, name in ((0, "i"), (1, "j")):
         for edge in np.unique(lens.index[:, axis])[1:]:
             design = np.column_stack([np.ones(len(off)), lens.index, lens.index[:, axis] >= edge])
@@ -161,16 +172,19 @@ def _bond(one: Surface) -> tuple[float, str]:
             solved, *_ = np.linalg.lstsq(design, off, rcond=None)
             rest = float(np.sum((off - design @ solved) ** 2)) / (2 * (len(off) - 4))
             spread = np.sqrt(max(rest, float(np.mean(lens.u[:, :2] ** 2))))
-            u = spread * np.sqrt(np.linalg.inv(design.T @ design)[3, 3])
-            step = float(np.hypot(*solved[3]))
-            if step / u > max(best, CLEAR):
-                x, y = solved[3] / unit
-                words = (
-                    f"; two pieces are bonded: from {name} = {edge} on lenslets are displaced by {x:.3g},"
-                    f" {y:.3g} µm"
-                )
-                best, found = step / u, (step, words)
-    return found
+            clear = float(np.hypot(*solved[3])) / (spread * np.sqrt(np.linalg.inv(design.T @ design)[3, 3]))
+            x, y = solved[3] / unit
+            words = (
+                f"; two pieces are bonded: from {name} = {edge} on lenslets are displaced by {x:.3g}, {y:.3g}"
+            )
+            pitch = float(np.hypot(*(np.array([solved[1, 0], solved[2, 1]]) + lens.pitch - wanted)))
+            found.append((clear, pitch, float(np.hypot(*solved[3])), f"{words} µm"))
+    most = max((every[0] for every in found), default=0.0)
+    sure = [every for every in found if every[0] > max(CLEAR, 0.3 * most)]
+    if not sure:
+        return 0.0, ""
+    _, _, step, words = min(sure, key=lambda every: every[1])  # pieces have the pitch of the design
+    return step, words
 
 
 def _insert(one: Surface, off: float, u: float) -> str:

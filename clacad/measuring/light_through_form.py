@@ -19,7 +19,7 @@ from clacad.base.types import Bools, Floats, Ints
 from clacad.light.measure import Light, measure
 from clacad.measuring.find_lattice import NotMeasurable
 from clacad.measuring.fit_lenslets import Lenslets
-from clacad.measuring.sides import Cells, Name, Side
+from clacad.measuring.sides import Name, ShownCells, Side
 from clacad.optics.rays import TraceResult
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
 from clacad.sheet.like_cell import like_cell
@@ -62,7 +62,7 @@ class MeasuredSide:
     u_scale : Half width of the stated relative uncertainty of heights, of a coverage of 95 %.
     """
 
-    cells: Cells
+    cells: ShownCells
     lenslets: Lenslets
     formed: Bools
     bounds: Floats

@@ -20,7 +20,7 @@ from clacad.measuring.light_through_form import light_through_form, texture_shar
 from clacad.measuring.measured import Measured
 from clacad.measuring.read_map import MeasuredMap, read_map
 from clacad.measuring.scales import HEIGHTS, LATERAL, Scale, Stated, scale_by_tilt, scale_of
-from clacad.measuring.sides import Cells, Name, Side, cells_in_map, sides_of
+from clacad.measuring.sides import Name, ShownCells, Side, cells_in_map, sides_of
 from clacad.prescription.prescribe import prescribe
 from clacad.storage.errors import BadRequest
 
@@ -49,16 +49,16 @@ class Maps:
 
         named : Whether the sides of the files are known; else they follow from the curvature of the maps.
         """
-        front, back = (self.front, self.back) if self.named else self._by_curvature(design)
-        if self.cell is not None:
-            front, back = (
-                (front, self.cell) if front is not None else None,
-                (back, self.cell) if back is not None and front is None else back,
-            )
+        paths = (self.front, self.back) if self.named else self._by_curvature(design)
+        given: list[Given | None] = list(paths)
+        first = 0 if paths[0] is not None else 1
+        path = paths[first]
+        if self.cell is not None and path is not None:
+            given[first] = path, self.cell
         return measure(
             design,
-            front,
-            back,
+            given[0],
+            given[1],
             tilted=self.tilted,
             z_scale=self.z_scale,
             lateral_scale=self.lateral_scale,
@@ -76,7 +76,8 @@ class Maps:
             scale_of(self.z_scale, HEIGHTS, "z_scale"),
             scale_of(self.lateral_scale, LATERAL, "lateral_scale"),
         )
-        kept, swapped = [], []
+        kept: list[float] = []
+        swapped: list[float] = []
         for name, path in (("front", self.front), ("back", self.back)):
             if path is not None:
                 one = read_map(path, self.unit)
@@ -206,7 +207,7 @@ def measure(
         heights = _by_tilt(
             read[first], read_map(tilted, unit), sides[first], heights, lateral.value, design.unit_m
         )
-    fitted: dict[Name, tuple[MeasuredMap, Lenslets, Cells]] = {}
+    fitted: dict[Name, tuple[MeasuredMap, Lenslets, ShownCells]] = {}
     for name, one in read.items():
         told(f"fitting the lenslets of the {name}", 0.3)
         fitted[name] = _fitted(
@@ -228,8 +229,8 @@ def measure(
 
 
 def _alike(
-    fitted: Mapping[Name, tuple[MeasuredMap, Lenslets, Cells]],
-) -> dict[Name, tuple[MeasuredMap, Lenslets, Cells]]:
+    fitted: Mapping[Name, tuple[MeasuredMap, Lenslets, ShownCells]],
+) -> dict[Name, tuple[MeasuredMap, Lenslets, ShownCells]]:
     """Maps of both sides whose middles show one cell, where no edge says otherwise."""
     cells = [of for _, _, of in fitted.values()]
     first, known = list(cells[0].first), list(cells[0].known)
@@ -245,7 +246,7 @@ def _alike(
 
 
 def _surfaces(
-    fitted: Mapping[Name, tuple[MeasuredMap, Lenslets, Cells]],
+    fitted: Mapping[Name, tuple[MeasuredMap, Lenslets, ShownCells]],
     sides: Mapping[Name, Side],
     heights: Scale,
     lateral: Scale,
@@ -269,15 +270,13 @@ def _fitted(
     lateral: float,
     unit_m: float,
     stated: tuple[int, int] | None = None,
-) -> tuple[MeasuredMap, Lenslets, Cells]:
-    """Map in design units with its scales taken off, its lenslets, and the cells of the sheet that they are."""
+) -> tuple[MeasuredMap, Lenslets, ShownCells]:
+    """Map in design units with its scales taken off, its lenslets, and the cells that they are."""
     one = measured.scaled(lateral * unit_m, height * unit_m)
     _refuse_heights(one, side)
     cells = cells_in_map(side, np.zeros((1, 2), dtype=np.int64), np.zeros((0, 2), dtype=np.int64), stated)
     for _ in range(2):
-        lenslets = fit_lenslets(
-            one, side.lattice, side.aperture, lambda index, of=cells: side.numbers(of.of(index))
-        )
+        lenslets = fit_lenslets(one, side.lattice, side.aperture, cells.numbers)
         before, cells = cells, cells_in_map(side, lenslets.index, lenslets.empty, stated)
         if side.alike or cells.first == before.first:
             break

@@ -3,7 +3,8 @@ cell by the definitions of the fit.
 
 A map of a face whose material lies behind it has the sheet's x along its x and the sheet's y against its y; a
 map of one whose material lies before it has both against. So x of a back's map runs against x of a front's.
-The front is the first curved face that light meets, the back the last one. Faces between them are as designed.
+The front is the first curved face that light meets, the back the last one. Faces between them are as
+designed.
 """
 
 from __future__ import annotations
@@ -98,15 +99,17 @@ class Side:
         return np.column_stack([sx * u, sy * v, self.face.vertex[2] - self.face.side * height])
 
     def heights(self, cell: Ints | None, u: Floats, v: Floats) -> Floats:
-        """Height (n,) of the design's lenslet of a sheet's cell (2,) over places of the map's, above the plane
-        of the apexes, out of the material; None: of the lenslet that the face describes.
+        """Height (n,) of the design's lenslet of a sheet's cell (2,) over places of the map's.
+
+        Above the plane of the apexes, out of the material; None: of the lenslet that the face describes.
         """
         own = self.face if cell is None or self.alike else self.window.in_cell(self.face, cell)
         return np.asarray(_outward(own, u, v) - own.side * (own.vertex[2] - self.face.vertex[2]))
 
     def numbers(self, cells: Ints) -> Floats:
-        """Numbers (m, 7) of the design's lenslets of the sheet's cells (m, 2); cells beyond its border are like
-        that of the face.
+        """Numbers (m, 7) of the design's lenslets of the sheet's cells (m, 2).
+
+        Cells beyond its border are like that of the face.
         """
         if self.alike:
             return np.tile(self.lenslet, (len(cells), 1))
@@ -125,7 +128,7 @@ class Side:
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class ShownCells:
     """Which cells of the sheet the lenslets of a map are.
 
     side : Side
@@ -139,14 +142,18 @@ class Cells:
 
     def of(self, index: Ints) -> Ints:
         """Cells (m, 2) of the sheet at steps (m, 2) of the map's lattice."""
-        return self.side.cell(index) + np.array(self.first)
+        return np.asarray(self.side.cell(index) + np.array(self.first))
+
+    def numbers(self, index: Ints) -> Floats:
+        """Numbers (m, 7) of the design's lenslets at steps (m, 2) of the map's lattice."""
+        return self.side.numbers(self.of(index))
 
     def __str__(self) -> str:
         words = [f"{name} {at} ({how})" for name, at, how in zip("ij", self.first, self.known, strict=True)]
         return ", ".join(words)
 
 
-def cells_in_map(side: Side, index: Ints, empty: Ints, stated: tuple[int, int] | None) -> Cells:
+def cells_in_map(side: Side, index: Ints, empty: Ints, stated: tuple[int, int] | None) -> ShownCells:
     """Find which cells of the sheet a map shows, by the edge of the array where it is in the map.
 
     index, empty : (m, 2), (k, 2) Steps of the map's lattice with a lenslet, and with none.
@@ -157,15 +164,17 @@ def cells_in_map(side: Side, index: Ints, empty: Ints, stated: tuple[int, int] |
     if stated is not None:
         if not lattice.contains(np.array(stated)):
             raise BadRequest(f"cell {stated[0]},{stated[1]}: the sheet has no such cell")
-        return Cells(side, stated, ("stated", "stated"))
+        return ShownCells(side, stated, ("stated", "stated"))
     middle = np.array(central_cell(side.window))
-    fitting = _fitting(lattice, side.cell(index), side.cell(empty)) if len(empty) >= FEWEST_EMPTY else []
+    none = np.zeros((0, 2), dtype=np.int64)
+    some = len(empty) >= FEWEST_EMPTY
+    fitting = _fitting(lattice, side.cell(index), side.cell(empty)) if some else none
     if not len(fitting):
-        return Cells(side, (int(middle[0]), int(middle[1])))
+        return ShownCells(side, (int(middle[0]), int(middle[1])))
     first = fitting[np.argmin(np.abs(fitting - middle).sum(axis=1))]
     alone = np.ptp(fitting, axis=0) == 0
     known = ["edge" if one else "assumed" for one in alone]
-    return Cells(side, (int(first[0]), int(first[1])), (known[0], known[1]))
+    return ShownCells(side, (int(first[0]), int(first[1])), (known[0], known[1]))
 
 
 FEWEST_EMPTY = 2
@@ -173,7 +182,7 @@ FEWEST_EMPTY = 2
 
 
 def _fitting(lattice: Lattice, held: Ints, empty: Ints) -> Ints:
-    """Displacements (n, 2) by which cells `held` are kept ones of a lattice, and none of the cells `empty`."""
+    """Displacements (n, 2) by which cells `held` are kept ones of a lattice, and none of `empty`."""
     kept = lattice.cells()
     low, high = kept.min(axis=0) - held.max(axis=0), kept.max(axis=0) - held.min(axis=0)
     moves = np.stack(
