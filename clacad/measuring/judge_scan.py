@@ -66,7 +66,7 @@ def _unknown_cells(of: Scanned) -> str:
 
 
 def _undecided(check: Check, why: str) -> Check:
-    """A check whose answer hangs on the cells that the map shows."""
+    """A check whose answer depends on the cells that the map shows."""
     detail = {**check.detail, CANNOT_SAY: why}
     return replace(check, state="not run", sentence=f"cannot say: {check.sentence}; {why}", detail=detail)
 

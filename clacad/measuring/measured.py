@@ -10,16 +10,18 @@ import numpy as np
 
 from clacad.base.interactive import Tabular, columns_of
 from clacad.base.text import mrad_text, percent_text, plain, table
+from clacad.base.types import Floats
 from clacad.checks.check import Check, short_table
 from clacad.checks.scan_kinds import CANNOT_SAY
 from clacad.measuring.fit_lenslets import NAMES
 from clacad.measuring.form_and_seams import Surface
 from clacad.measuring.light_through_form import FormLight
 from clacad.measuring.scales import Scale
-from clacad.measuring.sides import Name
+from clacad.measuring.sides import Name, Side
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.sheet.window import Window
 
 FORMAT = 1
 Verdict = Literal["pass", "fail", "cannot say"]
@@ -266,33 +268,61 @@ def iso_rows(found: Measured) -> list[IsoRow]:
 
 
 def _iso_rows(name: Name, one: Surface, unit: str, found: Measured) -> list[IsoRow]:
-    side, lens = one.lit.side, one.lenslets
+    lens, side = one.lenslets, one.lit.side
     radius, u, constant = mean_radius(one, found.u_radius)
     radii = 1.0 / lens.values[:, 3]
-    designed = one.radius
-    body = side.body
-    focal = designed / (body.index - 1.0), radius / (body.index - 1.0)
     off = lens.values[:, :2] - one.targets[:, :2]
-    micron = found.design.unit_m * 1e6
-    pitch = [float(np.hypot(*side.lattice.a1)), float(np.hypot(*side.lattice.a2))]
     depth = lens.values[:, 3].mean() / one.targets[:, 3].mean() * side.sag
-    wave = form_rms(one) * (body.index - 1.0)
+    wave = form_rms(one) * (side.body.index - 1.0)
     nano = found.design.unit_m * 1e9
-    spread = percent_text(float(np.std(radii / radii.mean())), 3, unit="")
-    middles = micron * float(np.sqrt(np.mean(np.sum((off - off.mean(axis=0)) ** 2, axis=1))))
+    made = (
+        f"{lens.pitch[0]:.7g}",
+        f"{lens.pitch[1]:.7g}",
+        f"{radius:.6g} ± {2.0 * u:.2g}",
+        percent_text(float(np.std(radii / radii.mean())), 3, unit=""),
+        f"{constant:.3f}",
+        f"{depth:.5g}",
+        f"{1e-3 * nano * float(np.sqrt(np.mean(np.sum((off - off.mean(axis=0)) ** 2, axis=1)))):.3g}",
+        f"{radius / (side.body.index - 1.0):.6g}",
+        f"{nano * one.texture:.3g}",
+        f"{nano * wave:.3g}",
+    )
+    designed = _designed(name, side, one.targets, unit)
+    return [(*row, value) for row, value in zip(designed, made, strict=True)]
+
+
+def _designed(name: Name, side: Side, numbers: Floats, unit: str) -> list[tuple[str, str, str]]:
+    """Rows of one side as designed; numbers (m, 7) of its lenslets."""
+    radius, constant = 1.0 / float(numbers[:, 3].mean()), float(numbers[:, 4].mean())
+    pitch = [float(np.hypot(*side.lattice.a1)), float(np.hypot(*side.lattice.a2))]
+    spread = percent_text(float(np.std(numbers[:, 3]) * abs(radius)), 3, unit="")
     rows = [
-        ("pitch x", unit, f"{pitch[0]:.6g}", f"{lens.pitch[0]:.7g}"),
-        ("pitch y", unit, f"{pitch[1]:.6g}", f"{lens.pitch[1]:.7g}"),
-        ("radius of curvature", unit, f"{designed:.6g}", f"{radius:.6g} ± {2.0 * u:.2g}"),
-        ("uniformity of the radius (standard deviation)", "%", "0", spread),
-        ("conic constant", "", f"{one.targets[:, 4].mean():.3f}", f"{constant:.3f}"),
-        ("surface modulation depth", unit, f"{side.sag:.5g}", f"{depth:.5g}"),
-        ("lens middle positions (rms about the lattice)", "µm", "0", f"{middles:.3g}"),
-        ("focal length, as derived", unit, f"{focal[0]:.6g}", f"{focal[1]:.6g}"),
-        ("roughness Sq", "nm", "", f"{nano * one.texture:.3g}"),
-        ("wavefront rms, from form", "nm", "0", f"{nano * wave:.3g}"),
+        ("pitch x", unit, f"{pitch[0]:.6g}"),
+        ("pitch y", unit, f"{pitch[1]:.6g}"),
+        ("radius of curvature", unit, f"{radius:.6g}"),
+        ("uniformity of the radius (standard deviation)", "%", spread),
+        ("conic constant", "", f"{constant + 0.0:.3f}"),
+        ("surface modulation depth", unit, f"{side.sag:.5g}"),
+        ("lens middle positions (rms about the lattice)", "µm", "0"),
+        ("focal length, as derived", unit, f"{radius / (side.body.index - 1.0):.6g}"),
+        ("roughness Sq", "nm", ""),
+        ("wavefront rms, from form", "nm", "0"),
     ]
-    return [(f"{name}: {what}", of, designed_as, made) for what, of, designed_as, made in rows]
+    return [(f"{name}: {what}", of, value) for what, of, value in rows]
+
+
+def iso_rows_of_design(design: Design, window: Window) -> list[tuple[str, str, str]]:
+    """Rows in the terms of ISO 14880-1 and -4 of a design alone: name, unit, value; none of cylinders."""
+    from clacad.measuring.sides import sides_of
+    from clacad.storage.errors import NotPossible
+
+    try:
+        sides = sides_of(window, 1e-3 / design.unit_m)
+    except NotPossible:
+        return []
+    return [
+        row for name, side in sides.items() for row in _designed(name, side, side.lenslet[None], design.unit)
+    ]
 
 
 def form_rms(one: Surface) -> float:
