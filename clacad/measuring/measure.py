@@ -89,7 +89,7 @@ class Maps:
 
 SIDES: tuple[Name, Name] = ("front", "back")
 APART = 0.03
-"""Least relative difference of the radii of front and back by which a map is told from the other."""
+"""Least relative difference of the radii of front and back by which their maps are recognized."""
 
 
 def _miss(measured: MeasuredMap, side: Side, height: float, lateral: float, unit_m: float) -> float:
@@ -231,7 +231,7 @@ def measure(
 def _alike(
     fitted: Mapping[Name, tuple[MeasuredMap, Lenslets, ShownCells]],
 ) -> dict[Name, tuple[MeasuredMap, Lenslets, ShownCells]]:
-    """Maps of both sides whose middles show one cell, where no edge says otherwise."""
+    """Maps of both sides whose middles show one cell, unless edges show others."""
     cells = [of for _, _, of in fitted.values()]
     first, known = list(cells[0].first), list(cells[0].known)
     for of in cells:
