@@ -97,7 +97,10 @@ OTHERS = {
 }
 
 
-@pytest.mark.parametrize("name", OTHERS)
+@pytest.mark.parametrize(
+    "name",
+    [one if one == "aimed back" else pytest.param(one, marks=pytest.mark.slow) for one in OTHERS],
+)
 def test_light_through_a_perfect_part_is_that_through_the_exact_faces(name):
     design, side, cell = OTHERS[name]
     made = like(design, side, cell, noise=1e-6, spikes=0, dirt=0, lost=0.0, rim=0.0)
@@ -118,7 +121,7 @@ def stepped(made: Turned, columns: tuple[int, int]) -> Turned:
 EDGES = load("window-100mm", ["lattice.count=[7,7]"])
 
 
-@pytest.mark.parametrize(("side", "first"), [("front", 5), ("back", 1)])
+@pytest.mark.parametrize(("side", "first"), [("front", 5), pytest.param("back", 1, marks=pytest.mark.slow)])
 def test_an_edge_of_the_array_in_the_map_tells_its_cells(side, first):
     made = stepped(like(EDGES, side, size=340, pixel=0.008, noise=5e-6, spikes=0, dirt=0), (-9, 1))
     found = measure(EDGES, **{side: mapped(made)}, z_scale=(1.0, 1e-4))
@@ -146,7 +149,7 @@ def test_of_a_sheet_whose_cells_differ_an_edge_or_the_stated_cell_decides():
         measure(AIMED, back=(mapped(made), (40, 0)))
 
 
-@pytest.mark.parametrize("step", [(0.003, -0.001), (0.02, -0.01)])
+@pytest.mark.parametrize("step", [(0.003, -0.001), pytest.param((0.02, -0.01), marks=pytest.mark.slow)])
 def test_pieces_bonded_with_a_displacement_are_named(step):
     made = Made(size=250, spread_middle=1e-4)
     for (i, j), (x, y, radius) in made.cells.items():
@@ -159,6 +162,7 @@ def test_pieces_bonded_with_a_displacement_are_named(step):
     assert pitch.state == ("fail" if step[0] > 0.0025 else "pass")
 
 
+@pytest.mark.slow
 def test_a_good_array_is_not_called_bonded():
     for seed in range(3):
         made = Made(size=250, spread_middle=2e-4, seed=seed)
@@ -166,6 +170,7 @@ def test_a_good_array_is_not_called_bonded():
         assert "bonded" not in " ".join(check.sentence for check in found.checks)
 
 
+@pytest.mark.slow
 def test_a_wrong_insert_swapped_sides_and_a_rotated_array_are_named():
     sheet = load("hexagonal", ["lattice.count=[9,9]"])
     front, back = (1.0 / prescribe(sheet).faces[k].surface.curvature_x for k in (0, 1))
