@@ -194,7 +194,7 @@ def _measured(report: Report, out: Path, overwrite: bool) -> list[Path]:
     """Numbers, table and deviation maps of a part measured by height maps."""
     if report.measured is None:
         return []
-    from clacad.measuring.write_measured import write_measured
+    from clacad.measuring.measured import write_measured
 
     return write_measured(report.measured, out, overwrite=overwrite)
 

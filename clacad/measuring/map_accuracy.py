@@ -1,4 +1,4 @@
-"""What a measurement by height maps costs and gives: error of law_rms against pixel, noise and hard conditions.
+"""What a measurement by height maps costs and gives: error of law_rms against pixel and noise.
 
 Maps are made of the exact faces of a design, with noise, lost points, a tilt or a wrong scale of heights. The
 truth is light through the exact faces of the same cells.
@@ -22,8 +22,9 @@ from clacad.measuring.light_through_form import RAYS
 from clacad.measuring.measure import measure
 from clacad.measuring.read_map import MeasuredMap
 from clacad.measuring.sides import Side, sides_of
+from clacad.optics.rays import TraceResult
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.bundle import RequestedLaw, bundle
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.representative_cells import central_cell
 from clacad.tracing.trace import trace
@@ -71,7 +72,10 @@ CONDITIONS = (
 
 @dataclass(frozen=True)
 class MapRow:
-    """A condition and what was found: error of law_rms (radians), half its stated range, processor seconds."""
+    """A condition and what was found.
+
+    error, half : radians. Error of law_rms, half its stated range. seconds : of the processor.
+    """
 
     condition: Condition
     pixel: float
@@ -160,9 +164,12 @@ def _true(window: Window, design: Design, cells: Sequence[tuple[int, int]]) -> f
     squares = []
     for cell in cells if not window.uniform else cells[:1]:
         like = like_cell(window, np.array(cell))
+
+        def send(lit: Bundle, sheet: Window = like) -> TraceResult:
+            return trace(sheet, lit.rays, path="size")
+
         lit = bundle(like, RAYS, design.check.field, design.check.field_centre, cell=central_cell(like))
-        send = trace(like, lit.rays, path="size")
-        squares.append(measure_light(lambda _, seen=send: seen, lit, RequestedLaw.of(like)).rms ** 2)
+        squares.append(measure_light(send, lit, RequestedLaw.of(like)).rms ** 2)
     return float(np.sqrt(np.mean(squares)))
 
 
