@@ -14,6 +14,8 @@ from clacad.effects.trace import trace as trace
 from clacad.explorer.write_page import explore as explore
 from clacad.exporting.run import export as export
 from clacad.imaging.image_by_rays import image as image
+from clacad.making.correction import Correction as Correction
+from clacad.making.correction import correct as correct
 from clacad.measuring.measure import measure as measure
 from clacad.measuring.measured import Measured as Measured
 from clacad.mesh.body_mesh import Mesh as Mesh

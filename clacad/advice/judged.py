@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from clacad.base.interactive import Tabular
 from clacad.checks.check import ALLOWANCE, Check, accepted, check_columns, passed, short_table, wrong
@@ -21,6 +21,9 @@ from clacad.sheet.feasibility import Feasibility, describe, feasibility
 from clacad.sheet.window import Window
 from clacad.verification.design_rules import design_checks
 from clacad.verification.light.law_checks import judge_light
+
+if TYPE_CHECKING:
+    from clacad.making.light_as_made import JudgedAsMade
 
 RAYS, POINT_RAYS = 8192, 1024
 """Rays of the main bundle (65536 in verify), and of each field point (4096 in verify)."""
@@ -46,6 +49,8 @@ class Judged(Tabular):
         Whether the check `viewed` tries which changes reach its limit, and names them.
     judged_only : bool
         Whether white light and temperature are measured only where the design limits them.
+    as_made : bool
+        Whether light is also sent through the sheet as its process makes it.
     """
 
     design: Design
@@ -54,6 +59,7 @@ class Judged(Tabular):
     rules: tuple[Check, ...]
     remedies: bool = False
     judged_only: bool = False
+    as_made: bool = False
 
     def __repr__(self) -> str:
         """Short table: checks that do not pass, and the forecast of the verdict last."""
@@ -73,6 +79,7 @@ class Judged(Tabular):
             "checks": [check.to_dict() for check in self.checks],
             "passed": self.passes,
             "verdict": self.verdict(),
+            **({} if self.made is None else {"as_made": self.made.to_dict()}),
         }
 
     @cached_property
@@ -86,9 +93,19 @@ class Judged(Tabular):
         return tuple(found)
 
     @cached_property
+    def made(self) -> JudgedAsMade | None:
+        """The sheet as its process makes it; None where it is not requested."""
+        if not self.as_made:
+            return None
+        from clacad.making.light_as_made import judge_as_made
+
+        return judge_as_made(self.design, self.window)
+
+    @cached_property
     def checks(self) -> tuple[Check, ...]:
         """Light first, then the design rules, as verify lists them."""
-        return accepted((*self.light, *self.rules), self.design)
+        made = () if self.made is None else self.made.checks
+        return accepted((*self.light, *made, *self.rules), self.design)
 
     @property
     def passes(self) -> bool:
@@ -136,7 +153,9 @@ def tight(check: Check) -> bool:
     return abs(check.value - check.limit) <= TIGHT * abs(check.limit)
 
 
-def judge(design: Design, *, remedies: bool = False, judged_only: bool = False) -> Judged:
+def judge(
+    design: Design, *, remedies: bool = False, judged_only: bool = False, as_made: bool = False
+) -> Judged:
     """Build a design's window, to be judged as verify will judge it.
 
     Parameters
@@ -146,6 +165,8 @@ def judge(design: Design, *, remedies: bool = False, judged_only: bool = False) 
         Whether the check `viewed` tries which changes reach its limit, and names them.
     judged_only : bool
         Whether white light and temperature are measured only where the design limits them: for trials.
+    as_made : bool
+        Whether light is also sent through the sheet as its process makes it.
 
     Raises
     ------
@@ -155,10 +176,10 @@ def judge(design: Design, *, remedies: bool = False, judged_only: bool = False) 
     window = prescribe(design)
     facts = feasibility(window, *design.viewing_places)
     rules = design_checks(design, window, facts, solved=False)
-    return Judged(design, window, facts, rules, remedies, judged_only)
+    return Judged(design, window, facts, rules, remedies, judged_only, as_made)
 
 
-def check(design: Design) -> Judged:
+def check(design: Design, as_made: bool = False) -> Judged:
     """Forecast the verdict of `clacad.verify` on a design: its checks, with remedies where they fail or warn.
 
     The checks are those of verify, with fewer rays; a number within 3 % of its limit may be decided otherwise
@@ -167,6 +188,8 @@ def check(design: Design) -> Judged:
     Parameters
     ----------
     design : Design
+    as_made : bool
+        Whether light is also sent through the sheet as its process makes it (section [process]).
 
     Returns
     -------
@@ -177,6 +200,8 @@ def check(design: Design) -> Judged:
     ------
     DesignError
         The design cannot be built.
+    NotPossible
+        It cannot be judged as made.
 
     Examples
     --------
@@ -185,6 +210,6 @@ def check(design: Design) -> Judged:
     >>> judged.passes
     True
     """
-    judged = judge(design, remedies=True)
-    assert judged.light, "light is traced here, not when the result is first read"
+    judged = judge(design, remedies=True, as_made=as_made)
+    assert judged.checks, "light is traced here, not when the result is first read"
     return judged

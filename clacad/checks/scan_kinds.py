@@ -1,8 +1,7 @@
-"""Kinds of checks of parts as an instrument measured them; each can pass, fail, or end without an answer.
+"""Kinds of checks of parts as a process makes them, and as an instrument measured them.
 
-A check that gives no answer is "not run": the scale of the instrument is not known well enough, and its
-detail
-names the scale that would be needed.
+Each of the measured ones can pass, fail, or end without an answer. A check that gives no answer is "not run":
+the scale of the instrument is not known well enough, and its detail names the scale that would be needed.
 """
 
 from __future__ import annotations
@@ -60,4 +59,29 @@ SCAN_SEAM = CheckKind("scan_seam", "CL385", "of the light", where="file").explai
     why="Rounded seams throw light elsewhere; what was not measured is not known.",
     formula="light that met none of them ÷ all that passes, less 1; limit check.scan_seam (0.15)",
     do="A sharper tool; a cleaner part; a map with fewer points lost.",
+)
+
+MADE_LIGHT = CheckKind("made_light", "CL376", "rad", where="surfaces", limit="law_rms").explained(
+    means="Direction error of light through the faces as the process makes them (section [process]), clear of"
+    " rounded seams. Next to it: the error as designed, and that of all light.",
+    why="A shape that a process can make is not the shape it leaves: shrinkage, dose and sink change radii.",
+    formula="rms ∠(d', A d) over rays that met no rounding; limit law_rms",
+    do="Compensate what is known of the process; know it to the tolerance that the advice names.",
+)
+
+MADE_SEAM = CheckKind("made_seam", "CL377", "of the light", where="surfaces", limit="scan_seam").explained(
+    means="Share of the light that passes the sheet as made, but met a seam that tool or spot rounds.",
+    why="Rounded seams throw light elsewhere: it is lost to the image and veils it.",
+    formula="of spheres 1 − (R/(R + r))² of each face for a nose r; limit check.scan_seam (0.15)",
+    do="A smaller process.nose or process.spot, or a larger pitch.",
+)
+
+MADE_TEXTURE = CheckKind(
+    "made_texture", "CL378", "rad of phase", where="surfaces", rule="fixed: 1 rad"
+).explained(
+    means="Rms phase of what feed, layers and levels leave on one face; the share of light it leaves"
+    " undisturbed is printed. Above 1 rad that share is not known: the check fails. Texture is not traced.",
+    why="Texture scatters a share of the light; it does not bend the rest.",
+    formula="2π(n − 1) Sq/λ; Sq = f²/8r · 2/√45 of scallops, step/√12 of layers and levels; exp(−phase²)",
+    do="A smaller process.feed or process.layer, more process.levels; or polish.",
 )

@@ -182,6 +182,7 @@ def accuracy_text(measured: AccuracyTable) -> str:
         "* no other setting is better in both error and seconds",
         *measured.notes,
         *([] if measured.spectrum is None else [measured.spectrum.sentence()]),
+        *([] if measured.made is None else [measured.made.sentence()]),
     ]
     blocks = [
         f"{measured.design}, {measured.rays:,} rays",
@@ -220,6 +221,7 @@ def _brief(
             floors.append([", ".join(words), *least, one.note])
     head = f"{measured.design}, {measured.rays:,} rays: {measured.headline}"
     white = [] if measured.spectrum is None else [("white", measured.spectrum.sentence())]
+    white += [] if measured.made is None else [("as made", measured.made.sentence())]
     files = [("file", f"  {text}") for text in (*target, *also)]
     return Brief(
         head,

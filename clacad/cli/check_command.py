@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import mrad_text, pair_text, percent_text, short_size_text, span_text
 from clacad.cli.brief import Brief, facts
-from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option, required
+from clacad.cli.command import (
+    Command,
+    OfDesign,
+    OfDesignAsMade,
+    dry_run_option,
+    flag,
+    option,
+    overwrite_option,
+    required,
+)
 from clacad.cli.console import Console, show_text, table
 from clacad.cli.option_values import BadOption, cell_option, load_counted, load_design
 
@@ -18,10 +27,11 @@ if TYPE_CHECKING:
     from clacad.advice import Advice, Fixed, Judged
     from clacad.design import Design
     from clacad.explorer import Explored
+    from clacad.making.light_as_made import JudgedAsMade
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckDesign(OfDesign):
+class CheckDesign(OfDesignAsMade):
     """Derive what would be made, forecast the verdict of verify, find the keys that would make it pass."""
 
     fix: bool = flag(
@@ -39,6 +49,8 @@ def run_check(request: CheckDesign, console: Console) -> int:
     Keys that would change a failure or a warning are searched for only where they are printed.
     """
     if request.fix:
+        if request.as_made:
+            raise BadOption("--fix is about the design: leave out --as-made")
         return _fix(request, console)
     if request.out is not None:
         raise BadOption("-o is where --fix writes the design that passes: give --fix, too")
@@ -46,7 +58,8 @@ def run_check(request: CheckDesign, console: Console) -> int:
     from clacad.exporting.forecast import outlook
     from clacad.storage.errors import LimitRefused
 
-    judged = judge(_listable(load_design(request.design, request.set)), remedies=True)
+    design = _listable(load_design(request.design, request.overrides))
+    judged = judge(design, remedies=True, as_made=request.as_made)
     printed = console.json or not console.quiet  # grids are chosen by light only where they are printed
     forecast = outlook(judged.window, judged.design if printed else None)
     if console.json:
@@ -89,6 +102,11 @@ def _show(judged: Judged, forecast: list[dict[str, Any]], console: Console) -> N
     if terms:
         show_text(table([("in the terms of ISO 14880", "unit", "design"), *terms]))
     advice = advice_text(_advised(judged, console))
+    if judged.made is not None:
+        rows = table(
+            [(f"as made by {judged.made.light.process.name}", "designed", "made"), *judged.made.light.rows()]
+        )
+        advice = "\n".join([rows, *(f"  {one}" for one in judged.made.advice), advice])
     show_text(f"{advice}\n{judged.verdict()}".lstrip("\n"))
 
 
@@ -102,6 +120,7 @@ def _brief(judged: Judged, forecast: list[dict[str, Any]], advice: Advice, path:
         ("law", _law(judged)),
         ("light", _light(judged)),
         ("lenses", _lenses(judged)),
+        *([] if judged.made is None else [("as made", _made(judged.made))]),
         ("files", "; ".join(map(_file, forecast))),
     ]
     free = [] if advice.sharper is None else [("free", f"  free     {advice.sharper}")]
@@ -154,6 +173,21 @@ def _law(judged: Judged) -> str:
     if white is not None and isinstance(white.value, float):
         errors.append(f"in white light {mrad_text(white.value, 3)}")
     return "; ".join([*(f"{name} {pair_text(given[name])}" for name in ("eta", "delta")), *errors])
+
+
+def _made(found: JudgedAsMade) -> str:
+    """Error designed and made, shares, and the parameters that cost most."""
+    light = found.light
+    kept = "not known" if light.undisturbed != light.undisturbed else percent_text(light.undisturbed, 4)
+    return "; ".join(
+        [
+            f"{light.process.name}: rms {mrad_text(light.formed, 3)} clear of roundings"
+            f" (designed {mrad_text(light.designed, 3)}, all light {mrad_text(light.everything, 3)})",
+            f"{percent_text(light.share_formed)} of the light passes clear,"
+            f" {percent_text(light.share_rounded, 2)} met a rounding, texture leaves {kept} undisturbed",
+            *found.advice,
+        ]
+    )
 
 
 def _light(judged: Judged) -> str:
@@ -214,7 +248,7 @@ def _fix(request: CheckDesign, console: Console) -> int:
     out = request.out
     if out is not None and out.suffix.lower() not in (".toml", ".json"):
         raise BadOption(f"-o {out}: a design file's name ends in .toml or .json")
-    design = load_design(request.design, request.set)
+    design = load_design(request.design, request.overrides)
     if out is None:
         with console.progress() as progress:
             return _show_fixed(fix(design, progress), None, console)
@@ -242,7 +276,7 @@ def _text(request: CheckDesign, fixed: Fixed, out: Path) -> tuple[str, bool]:
     path = request.design
     is_json = path.suffix.lower() == ".json"
     if is_json == (out.suffix.lower() == ".json"):
-        given = dict(pair for text in request.set if isinstance(pair := parse_override(text), tuple))
+        given = dict(pair for text in request.overrides if isinstance(pair := parse_override(text), tuple))
         with suppress(LookupError):  # a table with lines of its own was overridden as a whole
             text = with_values(read_text(str(path)), {**given, **fixed.changes}, is_json=is_json)
             if Design.from_dict(parse(text, out.name)) == fixed.design:

@@ -126,6 +126,21 @@ class OfDesign(Overridden):
     design: Path = required("DESIGN", "Design file (TOML or JSON).")
 
 
+@dataclass(frozen=True, kw_only=True)
+class OfDesignAsMade(OfDesign):
+    """Request about a design, and about the sheet that its process makes."""
+
+    as_made: bool = flag(
+        "--as-made", "Also send light through the sheet as its process makes it ([process])."
+    )
+    process: str | None = option("--process NAME", "Process profile in place of check.process.")
+
+    @property
+    def overrides(self) -> tuple[str, ...]:
+        """All overridden values."""
+        return self.set if self.process is None else (*self.set, f'check.process="{self.process}"')
+
+
 # -- parameters of the command line --------------------------------------------------------------------------
 
 

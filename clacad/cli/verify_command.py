@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.cli.brief import Brief, facts
-from clacad.cli.command import Command, OfDesign, declared, flag, option
+from clacad.cli.command import Command, OfDesignAsMade, declared, flag, option
 from clacad.cli.console import Console, Progress, table
 from clacad.cli.option_values import BadOption, load_counted, parse_angle, parse_cell, parse_cells, per_format
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Verify(OfDesign):
+class Verify(OfDesignAsMade):
     """Trace what was written, write the report, print the verdict."""
 
     files: Path | None = option("--files DIR|FILE", "What was written, or a file of a measured part.")
@@ -63,7 +63,7 @@ def run(request: Verify, console: Console) -> int:
     """
     if request.out is None and (request.pdf or request.timings):
         raise BadOption("--pdf and --timings are about the report: give its folder with -o")
-    design = load_counted(request.design, request.set)
+    design = load_counted(request.design, request.overrides)
     from clacad.storage.atomic import require_folder
 
     written: list[Path] = []
@@ -156,7 +156,7 @@ def _judged(
     """The report, by the target if one is given; the verdict of the design alone is printed at once."""
     from clacad.verification.run import judged_by, verified
 
-    steps = verified(design, delivery, request.cells, rays, progress, maps)
+    steps = verified(design, delivery, request.cells, rays, progress, maps, request.as_made)
     report = next(steps)
     if delivery is not None or maps is not None:
         progress.say(f"the design itself {report.verdict()}; now its files")
@@ -168,12 +168,10 @@ def _judged(
 def _write(report: Report, out: Path, request: Verify, progress: Progress) -> list[Path]:
     """Write page, numbers and maps of measured parts; their paths."""
     from clacad.report import write_report
+    from clacad.report.measured_section import made_section, measured_section
 
-    more = []
-    if report.measured is not None:
-        from clacad.report.measured_section import measured_section
-
-        more = [measured_section(report.measured)]
+    more = [] if report.made is None else [made_section(report.made)]
+    more += [] if report.measured is None else [measured_section(report.measured)]
     written = write_report(
         report,
         out,
@@ -207,6 +205,9 @@ def _text(report: Report, name: str, paths: str) -> str:
     first = headline(report.checks)
     lines = [name, *([f"  {first}"] if first else []), checks_text(report.checks)]
     lines += [table([one.row() for one in report.verdicts])] if report.verdicts else []
+    if report.made is not None:
+        head = (f"as made by {report.made.light.process.name}", "designed", "made")
+        lines += [table([head, *report.made.light.rows()]), *(f"  {one}" for one in report.made.advice)]
     lines += [_part(report)] if report.measured is not None else []
     lines += [f"report: {paths}"] if paths else []
     return "\n".join([*lines, report.verdict()])
@@ -229,6 +230,8 @@ def _brief(report: Report, name: str, paths: str) -> Brief:
 
     word = report.verdict()
     rows = [*facts([("light", headline(report.checks))]), *facts(one.row() for one in report.verdicts)]
+    if report.made is not None:
+        rows += facts([("as made", one) for one in report.made.advice])
     if report.measured is not None:
         from clacad.measuring.measured import facts_of
 

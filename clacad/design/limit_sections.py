@@ -113,7 +113,8 @@ class CheckSpec:
     )
     scan_seam: float = key(
         _PART,
-        "largest share of the light through a measured part that may meet a seam or a place without points",
+        "largest share of the light through a made or measured part that may meet a seam, or a place without"
+        " points",
         0.15,
         later=True,
     )

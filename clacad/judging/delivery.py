@@ -166,7 +166,7 @@ def declared_roles(asked: str | Mapping[str, str] | None) -> Roles:
     found = {}
     for name, word in given.items():
         if word not in WORDS:
-            raise UnknownRole(f"role {word!r}: it is master, preview or scan")
+            raise UnknownRole(f"role {word!r}: it is master, preview, scan or tooling")
         found[name] = WORDS[word]
     return found
 

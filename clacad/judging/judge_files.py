@@ -26,9 +26,10 @@ from clacad.checks.file_kinds import (
     VOLUME,
     unreadable,
 )
-from clacad.exporting.formats.registry import longest_wait, reading_worker
+from clacad.exporting.formats.registry import kind_ending, kind_of, longest_wait, reading_worker
 from clacad.exporting.formats.step import WORD as STEP
 from clacad.exporting.formats.table import CELL_TABLE
+from clacad.exporting.formats.workshop import kind_named
 from clacad.exporting.roles import Role
 from clacad.judging.delivery import Delivery, Inspection, Subject, integrity, same_design, table_check
 from clacad.judging.judge_part import judge_placed, judge_returned
@@ -251,7 +252,7 @@ def _judge_one(
         return [table_check(asked.design, subject)], FileReport(
             subject, "the table of cells", role=Role.OTHER
         )
-    if subject.role is Role.TOOLING and (kind := subject.kind) is not None:
+    if subject.role is Role.TOOLING and (kind := _tooling_kind(subject)) is not None:
         return _judge_tooling(asked, subject, kind, window, whole)
     if subject.entry and (reason := no_optics(whole, subject)) is not None:
         asked.progress(f"reading {subject.name}", 0.0)
@@ -265,11 +266,23 @@ def _judge_one(
         asked.progress(f"reading {subject.name}", 0.0)
         note, part = "judged by the numbers in it", subject.cell is not None and not whole.uniform
         one = FileReport(subject, f"{note}, of one cell" if part else note, present=() if part else None)
+        if subject.role is Role.TOOLING:  # tables next to tooling: no light goes through them
+            one = replace(one, role=Role.OTHER)
         return judge_map(asked, whole, subject, kind), one
     check = READABLE.not_run(
         f"{subject.path.suffix or 'this'} is no format that can be judged", subject=subject.name
     )
     return [check], FileReport(subject, "unknown format")
+
+
+def _tooling_kind(subject: Subject) -> FileKind | None:
+    """Kind of a file that makes the part, by its manifest or its name; None for one without a face in it."""
+    word = kind_named(subject.name) if not subject.entry else ""
+    kind = kind_of(word) if word else subject.kind or kind_ending(subject.name)
+    if kind is None or kind.family == "other":
+        return None
+    held = kind.family != "map" or kind.reading.points is not None or kind.reading.samples is not None
+    return kind if held else None
 
 
 def _judge_tooling(
@@ -283,9 +296,6 @@ def _judge_tooling(
         asked.progress(f"reading {subject.name}", 0.0)
         found = judge_points(asked, whole, subject, kind, compensation)
         return found, FileReport(subject, note, role=Role.TOOLING)
-    if kind.family not in ("mesh", "solid", "map") or kind.reading.samples is None and kind.family == "map":
-        check = READABLE.check("pass", "judged by its bytes", required=False, **asked.common)
-        return [check], FileReport(subject, note, role=Role.TOOLING)
     plain, master = replace(subject, role=Role.MASTER), replace(asked, role=Role.MASTER)
     scaled = compensation.window(whole)
     checks, one = _judge_one(master, plain, scaled, scaled)

@@ -40,7 +40,7 @@ class Process:
     Examples
     --------
     >>> from clacad.making.process import Process
-    >>> Process("moulding", shrinkage=(0.004, 0.004, 0.004)).uniform
+    >>> Process("moulding", shrinkage=(0.004, 0.004, 0.004), thickness=0.004).uniform
     True
     """
 

@@ -326,9 +326,9 @@ def fit_lenslets(measured: MeasuredMap, design: Pattern, aperture: Aperture, tar
     empty = _empty(measured, level, found, aperture, cells, index)
     wider = _scatter(form, u_form)
     u_form = u_form * np.sqrt(wider)
-    shrunk = form * np.maximum(0.0, 1.0 - u_form**2 / np.maximum(form**2, 1e-300))
+    least = shrunk(form, u_form)
     return Lenslets(
-        index, values, covariance * wider, shrunk, u_form, texture, found, level, plane, aperture, empty
+        index, values, covariance * wider, least, u_form, texture, found, level, plane, aperture, empty
     )
 
 
@@ -482,11 +482,35 @@ def _fitted(table: Floats, start: Floats, grid: _Grid, last: bool) -> _Fit:
     of_form = own @ np.linalg.inv(square) @ own.T * spread
     u_form = np.sqrt(np.maximum(np.diag(of_form), 0.0))
     fitted, form = form, own @ form
-    shrunk = form * np.maximum(0.0, 1.0 - u_form**2 / np.maximum(form**2, 1e-300))
-    values = values + straight - best @ (grid.basis @ shrunk)
+    values = values + straight - best @ (grid.basis @ shrunk(form, u_form))
     smooth[grid.inside] = grid.basis @ form + slopes @ (share @ fitted)
     texture = float(np.sqrt(np.mean((off - smooth[block])[kept] ** 2)))
     return _Fit(values, best / np.maximum(weight, 1e-300) @ best.T * spread, form, u_form, texture)
+
+
+def pooled_form(u: Floats, v: Floats, off: Floats, aperture: Aperture, pixel: float) -> tuple[Floats, Floats]:
+    """Legendre coefficients (c,) of heights (n,) over places of a cell, and their standard deviations.
+
+    Points of several cells at once give the form that their cells share. Spikes are left out.
+
+    pixel : length. Distance of neighbouring points of one cell.
+    """
+    inside = aperture.holds(u, v)
+    u, v, off = u[inside], v[inside], off[inside]
+    grid = _grid(aperture, pixel)
+    block = grid.block(u, v)
+    smooth = np.zeros(grid.side * grid.side)
+    form, square, weight, mean = _form(off, block, _near(off), grid)
+    for _ in range(2):
+        smooth[grid.inside] = grid.basis @ form
+        form, square, weight, mean = _form(off, block, _near(off - smooth[block]), grid)
+    covariance = np.linalg.inv(square) * (GUARD**2 * grid.noise(weight, mean - grid.basis @ form))
+    return form, np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+
+
+def shrunk(form: Floats, u_form: Floats) -> Floats:
+    """Coefficients of least expected error: each less the part that its standard deviation may have made."""
+    return np.asarray(form * np.maximum(0.0, 1.0 - u_form**2 / np.maximum(form**2, 1e-300)))
 
 
 def _least_squares(slopes: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floats]:

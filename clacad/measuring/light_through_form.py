@@ -148,15 +148,8 @@ def light_through_form(
     sides : Measured ones; the other faces are as designed.
     field : radians. Half angle of the cone of directions; `centre`: its middle, as in `bundle`.
     """
-    lattice = window.lattice
-    every = sorted(set.intersection(*(set(one.rows) for one in sides.values())))
-    common = every if window.uniform else [one for one in every if lattice.contains(np.array(one))]
-    if not common:
-        raise NotMeasurable("the maps show no cell of the sheet in common")
-    cells = [common[k] for k in np.linspace(0, len(common) - 1, min(len(common), MOST_CELLS)).astype(int)]
-    seen = {cell: _Seen.of(window, cell, sides, field, centre) for cell in cells}
-    lights = [seen[one].light() for one in cells]
-    clear = [seen[one].clear(light) for one, light in zip(cells, lights, strict=True)]
+    seen, lights, clear = _lit_cells(window, sides, field, centre)
+    cells = list(seen)
     value = _rms(lights, clear)
     few = cells if len(cells) <= 9 else [cells[k] for k in np.linspace(0, len(cells) - 1, 9).astype(int)]
     base = _rms([seen[one].light() for one in few])
@@ -183,6 +176,28 @@ def light_through_form(
         float((alive - formed).mean()),
         np.array([_rms([light], [good]) for light, good in zip(lights, clear, strict=True)]),
     )
+
+
+def law_rms_of_form(window: Window, sides: Mapping[Name, MeasuredSide], field: float, centre: str) -> float:
+    """Error (radians) to the law of the formed light alone, as `FormLight.rms`; NaN if too dark."""
+    _, lights, clear = _lit_cells(window, sides, field, centre)
+    return _rms(lights, clear)
+
+
+def _lit_cells(
+    window: Window, sides: Mapping[Name, MeasuredSide], field: float, centre: str
+) -> tuple[dict[tuple[int, int], _Seen], list[Light], list[Bools]]:
+    """Cells that are lit, the light of each, and which rays met formed surface."""
+    lattice = window.lattice
+    every = sorted(set.intersection(*(set(one.rows) for one in sides.values())))
+    common = every if window.uniform else [one for one in every if lattice.contains(np.array(one))]
+    if not common:
+        raise NotMeasurable("the maps show no cell of the sheet in common")
+    cells = [common[k] for k in np.linspace(0, len(common) - 1, min(len(common), MOST_CELLS)).astype(int)]
+    seen = {cell: _Seen.of(window, cell, sides, field, centre) for cell in cells}
+    lights = [one.light() for one in seen.values()]
+    clear = [one.clear(light) for one, light in zip(seen.values(), lights, strict=True)]
+    return seen, lights, clear
 
 
 def _rms(lights: Sequence[Light], clear: Sequence[Bools] | None = None) -> float:

@@ -26,6 +26,7 @@ from clacad.storage.errors import BadRequest
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.sheet.window import Window
 
 Path = str | os.PathLike[str]
 Given = Path | MeasuredMap | tuple[Path | MeasuredMap, tuple[int, int]]
@@ -35,8 +36,8 @@ Given = Path | MeasuredMap | tuple[Path | MeasuredMap, tuple[int, int]]
 class Maps:
     """Maps of one part and the scales of the instrument, as `measure` takes them."""
 
-    front: Path | None = None
-    back: Path | None = None
+    front: Given | None = None
+    back: Given | None = None
     tilted: Path | None = None
     z_scale: Stated = None
     lateral_scale: Stated = None
@@ -44,16 +45,20 @@ class Maps:
     cell: tuple[int, int] | None = None
     named: bool = True
 
+    def of(self, side: Name, measured: Path | MeasuredMap) -> Maps:
+        """The scales with the map of one side."""
+        return replace(self, front=measured) if side == "front" else replace(self, back=measured)
+
     def measured(self, design: Design, progress: Progress) -> Measured:
         """Measure the part; see `measure`.
 
         named : Whether the sides of the files are known; else they follow from the curvature of the maps.
         """
         paths = (self.front, self.back) if self.named else self._by_curvature(design)
-        given: list[Given | None] = list(paths)
+        given = list(paths)
         first = 0 if paths[0] is not None else 1
         path = paths[first]
-        if self.cell is not None and path is not None:
+        if self.cell is not None and path is not None and not isinstance(path, tuple):
             given[first] = path, self.cell
         return measure(
             design,
@@ -66,7 +71,7 @@ class Maps:
             progress=progress,
         )
 
-    def _by_curvature(self, design: Design) -> tuple[Path | None, Path | None]:
+    def _by_curvature(self, design: Design) -> tuple[Given | None, Given | None]:
         """The files, exchanged where their radii are nearer to those of the other sides of the design."""
         sides = sides_of(prescribe(design), 1e-3 / design.unit_m)
         apart = abs(log(sides["front"].lenslet[3] / sides["back"].lenslet[3]))
@@ -79,7 +84,7 @@ class Maps:
         kept: list[float] = []
         swapped: list[float] = []
         for name, path in (("front", self.front), ("back", self.back)):
-            if path is not None:
+            if isinstance(path, (str, os.PathLike)):
                 one = read_map(path, self.unit)
                 for other in SIDES:
                     miss = _miss(one, sides[other], heights.value, lateral.value, design.unit_m)
@@ -183,37 +188,10 @@ def measure(
       pass  5 checks
     pass: light through the measured form leaves 0.166 mrad rms from the law ...
     """
-    given: dict[Name, Given | None] = {"front": front, "back": back}
-    told_of = {
-        name: one if isinstance(one, tuple) else (one, None) for name, one in given.items() if one is not None
-    }
-    maps = {name: one for name, (one, _) in told_of.items()}
-    if not maps:
-        raise BadRequest("no map to measure: give front, back or both")
     told = shown_progress(progress)
-    heights, lateral = (
-        scale_of(z_scale, HEIGHTS, "z_scale"),
-        scale_of(lateral_scale, LATERAL, "lateral_scale"),
-    )
+    maps = Maps(front, back, tilted, z_scale, lateral_scale, unit)
     window = prescribe(design)
-    sides = sides_of(window, 1e-3 / design.unit_m)
-    read: dict[Name, MeasuredMap] = {}
-    for name, one in maps.items():
-        told(f"reading the {name}", 0.0)
-        read[name] = one if isinstance(one, MeasuredMap) else read_map(one, unit)
-    if tilted is not None:
-        told("finding the scale of heights", 0.2)
-        first = next(iter(read))
-        heights = _by_tilt(
-            read[first], read_map(tilted, unit), sides[first], heights, lateral.value, design.unit_m
-        )
-    fitted: dict[Name, tuple[MeasuredMap, Lenslets, ShownCells]] = {}
-    for name, one in read.items():
-        told(f"fitting the lenslets of the {name}", 0.3)
-        fitted[name] = _fitted(
-            one, sides[name], heights.value, lateral.value, design.unit_m, told_of[name][1]
-        )
-    found = _surfaces(_alike(fitted), sides, heights, lateral)
+    found, heights, lateral = fitted_sides(design, window, maps, progress)
     told("sending light through the measured form", 0.6)
     light = light_through_form(
         window, {name: one.lit for name, one in found.items()}, design.check.field, design.check.field_centre
@@ -243,6 +221,43 @@ def _alike(
         own = [first[k] if of.known[k] == "assumed" else of.first[k] for k in (0, 1)]
         found[name] = measured, lenslets, replace(of, first=(own[0], own[1]))
     return found
+
+
+def fitted_sides(
+    design: Design, window: Window, of: Maps, progress: Progress | None = None
+) -> tuple[dict[Name, Surface], Scale, Scale]:
+    """Fit every whole lenslet of the maps of a part; no light is sent.
+
+    Returns measured sides, scale of heights, and lateral scale. Raises as `measure`.
+    """
+    given: dict[Name, Given | None] = {"front": of.front, "back": of.back}
+    stated = {
+        name: one if isinstance(one, tuple) else (one, None) for name, one in given.items() if one is not None
+    }
+    maps = {name: one for name, (one, _) in stated.items()}
+    if not maps:
+        raise BadRequest("no map to measure: give front, back or both")
+    told = shown_progress(progress)
+    heights, lateral = (
+        scale_of(of.z_scale, HEIGHTS, "z_scale"),
+        scale_of(of.lateral_scale, LATERAL, "lateral_scale"),
+    )
+    sides = sides_of(window, 1e-3 / design.unit_m)
+    read: dict[Name, MeasuredMap] = {}
+    for name, one in maps.items():
+        told(f"reading the {name}", 0.0)
+        read[name] = one if isinstance(one, MeasuredMap) else read_map(one, of.unit)
+    if of.tilted is not None:
+        told("finding the scale of heights", 0.2)
+        first = next(iter(read))
+        heights = _by_tilt(
+            read[first], read_map(of.tilted, of.unit), sides[first], heights, lateral.value, design.unit_m
+        )
+    fitted: dict[Name, tuple[MeasuredMap, Lenslets, ShownCells]] = {}
+    for name, one in read.items():
+        told(f"fitting the lenslets of the {name}", 0.3)
+        fitted[name] = _fitted(one, sides[name], heights.value, lateral.value, design.unit_m, stated[name][1])
+    return _surfaces(_alike(fitted), sides, heights, lateral), heights, lateral
 
 
 def _surfaces(

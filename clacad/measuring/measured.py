@@ -159,6 +159,9 @@ class Measured(Tabular):
             "aperture": 2.0 * half,
             "sq": one.texture,
             "noise": one.noise,
+            "lattice": [one.lenslets.lattice.origin, *one.lenslets.lattice.basis.T],
+            "level": one.lenslets.level,
+            "plane": one.lenslets.plane,
         }
 
 

@@ -85,6 +85,16 @@ class Side:
         inside = self.aperture.grid(ALONG)
         return float(np.ptp(_outward(self.face, *np.hstack([inside, self.lattice.tile().T]))))
 
+    def outward(self, u: Floats, v: Floats) -> Floats:
+        """Height (n,) of the design's lenslet above its apex, out of the material, over places of a map's
+        cell.
+        """
+        return _outward(self.face, u, v)
+
+    def target(self, u: Floats, v: Floats) -> Floats:
+        """Height (n,) as `outward`."""
+        return self.outward(u, v)
+
     def cell(self, index: Ints) -> Ints:
         """Steps (m, 2) of the sheet's lattice for steps (m, 2) of the map's."""
         own, base = self.lattice, self.window.lattice_of(self.array)

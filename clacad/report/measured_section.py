@@ -1,15 +1,15 @@
-"""Section of the page about a part as an instrument measured it: table, deviation maps, numbers of
-lenslets.
-"""
+"""Sections of the page about a sheet as its process makes it, and about a part as measured."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.drawn_figure import drawn, no_formula
+from clacad.making.process import Process
 from clacad.measuring.form_and_seams import Surface
 from clacad.measuring.measured import Measured, iso_rows
 from clacad.report.content import data_uri
@@ -18,12 +18,35 @@ from clacad.report.report_files import Section
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["measured_section"]
+    from clacad.making.light_as_made import JudgedAsMade
+
+__all__ = ["made_section", "measured_section"]
 
 SHOWN = 40
 """Most lenslets of the table on the page."""
 
 COLUMNS = ("side", "i", "j", "x", "y", "radius", "u_radius", "conic", "u_conic", "astigmatism", "sq")
+
+
+def made_section(found: JudgedAsMade) -> Section:
+    """The sheet as its process makes it, next to the design."""
+    light = found.light
+    head = "".join(f"<th>{name}</th>" for name in ("", "designed", "made"))
+    rows = "".join(
+        f"<tr><td>{escape(name)}</td><td class='num'>{escape(of)}</td>"
+        f"<td class='num'>{escape(made)}</td></tr>"
+        for name, of, made in light.rows()
+    )
+    left = {name: value for name, value in asdict(light.process).items() if value != getattr(Process(), name)}
+    words = ", ".join(f"{name} {value}" for name, value in left.items() if name != "name") or "nothing"
+    advice = "".join(f"<p>{escape(one)}.</p>" for one in found.advice)
+    return Section(
+        "made",
+        "The sheet as made",
+        f"<p>Process {escape(light.process.name)} leaves (metres and ratios): {escape(words)}.</p>"
+        f"<div class='scroll'><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></div>"
+        f"{advice}",
+    )
 
 
 def measured_section(found: Measured) -> Section:

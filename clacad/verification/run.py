@@ -41,6 +41,7 @@ def verify(
     rays: int = 65536,
     progress: Progress | None = None,
     role: str | Mapping[str, str] | None = None,
+    as_made: bool = False,
 ) -> Report:
     """Judge a design, and files made from it: does light through them obey the requested law?
 
@@ -63,6 +64,8 @@ def verify(
     role : "master", "preview", "scan", a mapping or None
         Purpose of the files: one word for all, or a mapping from formats ("stl") or file names to words.
         None: as in the manifest; a file without one is judged as a master.
+    as_made : bool
+        Whether light is also sent through the sheet as its process makes it (section [process]).
 
     Raises
     ------
@@ -86,7 +89,7 @@ def verify(
         from clacad.judging.delivery import declared_roles, list_files
 
         delivery = list_files(Path(files), declared_roles(role))
-    *_, found = verified(design, delivery, cells, rays, shown_progress(progress))
+    *_, found = verified(design, delivery, cells, rays, shown_progress(progress), as_made=as_made)
     return found
 
 
@@ -97,11 +100,12 @@ def verified(
     rays: int,
     progress: Progress,
     maps: Maps | None = None,
+    as_made: bool = False,
 ) -> Iterator[Report]:
     """Yield the report of the design alone as soon as it is ready; then, if there are files, that with the
     files.
 
-    design, cells, rays, progress : As in `verify`.
+    design, cells, rays, progress, as_made : As in `verify`.
     delivery : From `list_files`.
     maps : Height maps of a measured part.
     Raises DesignError, CannotRegister, NotMeasurable.
@@ -111,6 +115,11 @@ def verified(
 
         design = with_copied_table(design, delivery)
     found = _judge_design(design, rays, progress)
+    if as_made:
+        from clacad.making.light_as_made import judge_as_made
+
+        made = judge_as_made(design, found.window)
+        found = replace(found, checks=(*found.checks, *made.checks), made=made)
     yield replace(found, checks=accepted(found.checks, design))
     if delivery is not None:
         found = _with_files(found, delivery, cells, rays, progress)

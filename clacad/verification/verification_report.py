@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from clacad.design import Design
     from clacad.judging.judge_files import FileReport
+    from clacad.making.light_as_made import JudgedAsMade
     from clacad.measuring.measured import Measured
     from clacad.verification.evidence import Evidence
     from clacad.verification.light.facet_convergence import Convergence
@@ -61,6 +62,8 @@ class Report(Tabular):
         Whether files were delivered for judgement; a delivery without any file does not pass.
     measured : Measured or None
         The part by its height maps.
+    made : JudgedAsMade or None
+        The sheet as its process makes it.
     """
 
     design: Design
@@ -75,6 +78,7 @@ class Report(Tabular):
     evidence: Evidence | None = None
     delivered: bool = False
     measured: Measured | None = None
+    made: JudgedAsMade | None = None
 
     def __repr__(self) -> str:
         """Short table: checks that did not pass, files, and the verdict last."""
@@ -206,6 +210,7 @@ class Report(Tabular):
             "notes": list(self.design.notes),
             "versions": dict(self.versions),
             **({} if self.evidence is None else self.evidence.to_dict()),
+            **({} if self.made is None else {"as_made": self.made.to_dict()}),
             **({} if self.measured is None else {"measured": self.measured.to_dict()}),
         }
 

@@ -20,9 +20,12 @@ DESIGNS = Path(__file__).parents[2] / "designs"
 OF_EVERY_DESIGN = tuple(
     name
     for name in words()
-    if not (name.startswith("marked") or name in ("baffle", "frame", "pins", "coupon", "optiland"))
+    if not (
+        name.startswith("marked")
+        or name in ("baffle", "frame", "pins", "coupon", "optiland", "insert", "tool")
+    )
 )
-"""Formats that every design has, without a border, honeycomb or fixture, or another program."""
+"""Formats that every design has, without a border, honeycomb, fixture, another program or a nose that reaches all."""
 
 
 def few(name: str, cells: int = 3) -> clacad.Design:

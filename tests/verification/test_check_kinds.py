@@ -44,6 +44,7 @@ ELSEWHERE = {
     "advice/candidate.py": "writes a key of [check]",
     "advice/wish.py": "reads a key of [check]",
     "measuring/measured.py": "field of what is measured",
+    "making/light_as_made.py": "key of [process]",
     "making/process.py": "key of [process]",
     "stacking/assembly.py": "states in the manifest what was compared",
     "formats/step/lenses_on_cells.py": "field of what is read from a STEP file",

@@ -85,20 +85,42 @@ def _insert_files(job: Job, steel: Window, label: str) -> Iterator[FileRecord]:
     yield job.record(path, INSERT_MAP, bodies=kept, facts=facts)
 
 
+def kind_named(name: str) -> str:
+    """Word of the kind of an insert's file by its name; "" for other names."""
+    if INSIDE_NAME not in name.lower():
+        return ""
+    ends = {".step": INSERT_STEP, ".stp": INSERT_STEP, ".stl": INSERT_STL, ".tiff": INSERT_MAP}
+    return next((word for end, word in ends.items() if name.lower().endswith(end)), "")
+
+
+BORDER = 1e-5
+"""Distance from a border over half a cell within which a point belongs to either cell."""
+
+INSIDE_NAME = ".insert."
+"""Part of the name of every file of an insert."""
+
+
 def is_insert(word: str) -> bool:
     """Whether files of a kind are inserts of a mould."""
     return word in (INSERT_STEP, INSERT_STL, INSERT_MAP)
 
 
 def surface_misfit(of: FaceFile, points: Floats) -> Floats:
-    """Distances (m,) along z of points from the face of a file's window, lengths; NaN off its cells."""
+    """Distances (m,) along z of points from the face of a file's window, lengths; NaN off its cells.
+
+    NaN too on borders with a step, where a point belongs to either cell: of tilted or differing lenses.
+    """
     import numpy as np
 
     from clacad.sheet.window import face_height
 
     index, u, v = of.window.locate(of.face.array or 0, points[:, 0], points[:, 1])
     off = points[:, 2] - face_height(of.window, of.face, u, v, index)
-    return np.where(of.window.lattice.contains(index), off, np.nan)
+    held, lattice = of.window.lattice.contains(index), of.window.lattice_of(of.face.array or 0)
+    if not (of.face.untilted and of.window.uniform):
+        for (ox, oy), half in zip((lattice.offset(*s) for s in lattice.steps), lattice.half_widths):
+            held &= np.abs((u * ox + v * oy) / (2.0 * half) - half) > BORDER * half
+    return np.where(held, off, np.nan)
 
 
 def _insert_misfit(points: Callable[[FaceFile], Floats]) -> Callable[[FaceFile], Misfit]:
@@ -452,7 +474,7 @@ FORMATS = (
         "part",
         "coupon that calibrates a dose: 17 fields of one level each, PNG and JSON",
         _write_wedge,
-        lambda _meshes, _quads, _asked: map_row(WEDGE, 9000, BASE),
+        lambda _meshes, _quads, _asked: map_row(WEDGE, 3900, BASE),
         lambda _sheet, _quads, _asked: BASE,
         optical=False,
         stored=(NO_SURFACE,),

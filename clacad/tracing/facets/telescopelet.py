@@ -12,12 +12,13 @@ must not ring at an edge of the part.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Bools, Bytes, Floats, Ints, Rows
+from clacad.base.types import Bools, Bytes, Floats, Ints, Pair2, Rows
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.optics.surface import meet, refract
 from clacad.sheet.window import Body, Face, Window, face_height, in_optical_tile, lens_height
@@ -149,10 +150,30 @@ def height_and_slope(face: SampledFace, x: Floats, y: Floats) -> tuple[Floats, F
     return z, dx, dy
 
 
+@dataclass(frozen=True, eq=False)
+class GraphFace:
+    """One face over one cell as a height with slopes, such as a face as a process makes it.
+
+    face : Face of the design, for its land.
+    origin : (3,) lengths. Centre of the face's cell in the sheet frame, z = 0.
+    window : Window whose optical zone ends the face.
+    height : Height (n,) of the sheet frame over places of the cell frame, and its slopes along x and y.
+    aside : Which places (n,) of the cell frame are no lens form; light through them ends as LAND.
+    scale : Factors along x and y of the cell as designed.
+    """
+
+    face: Face
+    origin: Floats
+    window: Window
+    height: Callable[[Floats, Floats], tuple[Floats, Floats, Floats]]
+    aside: Callable[[Floats, Floats], Bools]
+    scale: Pair2
+
+
 def meet_sampled(
-    face: SampledFace, position: Floats, direction: Floats
+    face: SampledFace | GraphFace, position: Floats, direction: Floats
 ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Intersect rays with a bicubic surface.
+    """Intersect rays with a surface given by heights.
 
     position, direction : (n, 3) arrays. Sheet frame; unit directions with d_z > 0.
 
@@ -172,16 +193,25 @@ def meet_sampled(
     gap = np.full(len(local), np.inf)
     for _ in range(ROUNDS):
         x, y, height = (local + distance[:, None] * direction).T
-        z, dx, dy = height_and_slope(face, x, y)
+        z, dx, dy = face.height(x, y) if isinstance(face, GraphFace) else height_and_slope(face, x, y)
         gap = height - z
         if not (np.abs(gap) > SAME * size).any():
             break
         rate = direction[:, 2] - dx * direction[:, 0] - dy * direction[:, 1]
         distance = distance - gap / np.where(rate > 0.0, rate, 1.0)
     x, y, _ = (local + distance[:, None] * direction).T
+    rounded = None
+    if isinstance(face, GraphFace):
+        rounded = face.aside(x, y)
+        x, y = x / face.scale[0], y / face.scale[1]
     inside = in_optical_tile(face.window, x, y)
     met = inside & (np.abs(gap) <= 1e3 * SAME * size) & (distance >= 0.0)
-    land = met & ~(face_height(face.window, face.face, x, y) == lens_height(face.face, x, y))
+    if rounded is not None and face.face.land is None:
+        land = met & rounded
+    else:
+        land = met & ~(face_height(face.window, face.face, x, y) == lens_height(face.face, x, y))
+    if rounded is not None and face.face.land is not None:
+        met, land = met & ~land, met & rounded & ~land
     return np.where(met, distance, np.nan), np.column_stack([-dx, -dy, np.ones(len(dx))]), land
 
 
@@ -210,14 +240,16 @@ class ExactFace:
 
     origin : (3,) lengths. Centre of the face's cell in the sheet frame, z = 0.
     window : Window whose optical zone ends the face; None: it continues.
+    scale : Factors along x and y of the cell as designed.
     """
 
     face: Face
     origin: Floats
     window: Window | None = None
+    scale: Pair2 = (1.0, 1.0)
 
 
-AnyFace = FacetFace | ExactFace | SampledFace
+AnyFace = FacetFace | ExactFace | SampledFace | GraphFace
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,7 +316,7 @@ def _meet(face: AnyFace, position: Floats, direction: Floats, entering: bool) ->
             return np.full(len(position), np.nan), position, np.zeros(len(position), dtype=bool)
         distance, facet = first_crossing(face, position, direction, entering)
         return distance, face.normals[facet] * (-1.0 if entering else 1.0), face.land[facet]
-    if isinstance(face, SampledFace):
+    if isinstance(face, SampledFace | GraphFace):
         return meet_sampled(face, position, direction)
     turn = face.face.rotation
     apex = face.origin + np.asarray(face.face.vertex)
@@ -292,7 +324,8 @@ def _meet(face: AnyFace, position: Floats, direction: Floats, entering: bool) ->
     distance = np.where(met.distance >= 0.0, met.distance, np.nan)
     if face.window is not None and face.face.array is not None:  # a hit beyond belongs to another lens
         x, y, _ = (position + distance[:, None] * direction - face.origin).T
-        distance = np.where(in_optical_tile(face.window, x, y), distance, np.nan)
+        inside = in_optical_tile(face.window, x / face.scale[0], y / face.scale[1])
+        distance = np.where(inside, distance, np.nan)
     return distance, met.gradient @ turn.T, np.zeros(len(position), dtype=bool)
 
 

@@ -124,6 +124,32 @@ class SpectrumCost:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class MadeCost:
+    """As designed against as made: error and processor seconds of the same rays, through one cell.
+
+    process : Name of the process profile.
+    designed, formed, everything : radians. Rms error to the law: as designed; as made clear of roundings, and
+        of all light.
+    designed_s, made_s : Processor seconds of the rays, through the exact surfaces and as made.
+    """
+
+    process: str
+    designed: float
+    formed: float
+    everything: float
+    designed_s: float
+    made_s: float
+
+    def sentence(self) -> str:
+        """Cost and result in one sentence."""
+        return (
+            f"as designed against as made ({self.process}): {mrad_text(self.designed, 3)} rms,"
+            f" {mrad_text(self.formed, 3)} clear of roundings, {mrad_text(self.everything, 3)} of all light;"
+            f" {self.designed_s:.2g} s against {self.made_s:.2g} s of the same rays"
+        )
+
+
 def pareto(rows: Sequence[AccuracyRow]) -> tuple[AccuracyRow, ...]:
     """Rows for which no other row is better in both error and seconds per ray, cheapest first."""
     front: list[AccuracyRow] = []
@@ -220,6 +246,7 @@ class AccuracyTable(Tabular):
 
     reference : The 50-digit check of the truth: rays, rms, max.
     spectrum : Cost of white light; None where the design has no colour.
+    made : Light as made, with its cost; None where the sheet cannot be judged as made.
     floors : Limit of useful refinement: for each family of file formats the best facet grid and its error.
     """
 
@@ -231,6 +258,7 @@ class AccuracyTable(Tabular):
     target: float | None = None
     rays: int = field(default=0)
     spectrum: SpectrumCost | None = None
+    made: MadeCost | None = None
 
     def __repr__(self) -> str:
         return f"AccuracyTable({self.design!r}, {len(self.rows)} settings, {self.rays} rays each)"
@@ -288,4 +316,5 @@ class AccuracyTable(Tabular):
             "floors": [plain(floor.to_dict()) for floor in self.floors],
             "notes": list(self.notes),
             **({} if self.spectrum is None else {"spectrum": asdict(self.spectrum)}),
+            **({} if self.made is None else {"made": plain(asdict(self.made))}),
         }

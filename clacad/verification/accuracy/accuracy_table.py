@@ -72,7 +72,7 @@ def accuracy(
     from clacad.prescription.prescribe import prescribe
     from clacad.sheet.bundle import bundle
     from clacad.tracing.worst_cell import worst_cell
-    from clacad.verification.accuracy.measure_rungs import QUADS, TracedRays, spectrum_cost
+    from clacad.verification.accuracy.measure_rungs import QUADS, TracedRays, made_cost, spectrum_cost
 
     report = shown_progress(progress)
     refuse_early(design, (), {})
@@ -90,7 +90,8 @@ def accuracy(
     grids = tuple(quads or QUADS)
     if not seen.tried:
         found = _measured(design.name, traced, rays, grids, report)
-        return replace(found, spectrum=spectrum_cost(design, seen, light(rays)))
+        white, made = spectrum_cost(design, seen, light(rays)), made_cost(design, seen, light(rays))
+        return replace(found, spectrum=white, made=made)
     i, j = seen.cell.tolist()
     own = TracedRays.raised(seen.window, seen.placed(light(rays)).rays, (i, j))
     rows, coarse = _of_differing_cells(own, grids, report)
@@ -100,8 +101,8 @@ def accuracy(
         f" through {seen.words}{coarse}; the other rows, and the floors, of a"
         " uniform sheet of such cells"
     )
-    white = spectrum_cost(design, seen, light(rays))
-    return replace(found, rows=(*rows, *found.rows), notes=(said, *found.notes), spectrum=white)
+    white, made = spectrum_cost(design, seen, light(rays)), made_cost(design, seen, light(rays))
+    return replace(found, rows=(*rows, *found.rows), notes=(said, *found.notes), spectrum=white, made=made)
 
 
 def _of_differing_cells(

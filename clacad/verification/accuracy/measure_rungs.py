@@ -26,7 +26,7 @@ from clacad.sheet.bundle import Bundle, RequestedLaw
 from clacad.sheet.like_cell import in_light
 from clacad.sheet.window import Window
 from clacad.storage.atomic import scratch_folder
-from clacad.verification.accuracy.accuracy_row import AccuracyRow, SpectrumCost
+from clacad.verification.accuracy.accuracy_row import AccuracyRow, MadeCost, SpectrumCost
 from clacad.verification.accuracy.extended_precision import direction_errors
 
 if TYPE_CHECKING:
@@ -192,6 +192,23 @@ def spectrum_cost(design: Design, cell: SeenCell, lit: Bundle) -> SpectrumCost |
         white.mean(np.array(closed)),
         white.mean(white.law_rms),
     )
+
+
+def made_cost(design: Design, cell: SeenCell, lit: Bundle) -> MadeCost | None:
+    """Time a bundle as designed and as made; None where the sheet cannot be judged as made."""
+    from clacad.making.light_as_made import light_as_made, made_of
+    from clacad.storage.errors import NotPossible
+    from clacad.tracing.trace import trace
+
+    try:
+        made = made_of(design, cell.like)
+        found = light_as_made(design, cell.like, len(lit.rays))
+    except NotPossible:
+        return None
+    _, designed_s, _ = timed(lambda: trace(cell.window, cell.placed(lit).rays, path="numba"))
+    _, made_s, _ = timed(lambda: made(made.bundle(lit)))
+    name = found.process.name
+    return MadeCost(name, found.designed, found.formed, found.everything, designed_s, made_s)
 
 
 def exact_rows(ladder: TracedRays, checked: dict[str, float]) -> list[AccuracyRow]:

@@ -1,0 +1,449 @@
+"""Correct the shape that a machine is commanded to make, by a height map of the part that it made.
+
+The next command is the last one plus target less measured form. The form is what all measured lenslets share:
+Legendre polynomials to degree 8, each coefficient less the part that noise may have made, carried on to the
+rim of the cell. Height and tilt of a single lenslet are no property of a map and are not corrected.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from hashlib import sha256
+from math import isfinite, sqrt
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from clacad.base.text import percent_text, printable
+from clacad.base.types import Floats
+from clacad.base.units import millimetres
+from clacad.making.process import process_of
+from clacad.measuring.find_lattice import Found
+from clacad.measuring.fit_lenslets import Aperture, fit_heights, legendre, pooled_form, shrunk
+from clacad.measuring.light_through_form import law_rms_of_form
+from clacad.measuring.measure import Maps, fitted_sides
+from clacad.measuring.measured import NUMBERS
+from clacad.measuring.read_map import MeasuredMap, read_map
+from clacad.measuring.scales import HEIGHTS, Scale, Stated
+from clacad.measuring.sides import Name, Side, sides_of
+from clacad.prescription.prescribe import prescribe
+from clacad.storage.atomic import canonical_json, write_set
+from clacad.storage.errors import BadRequest
+
+if TYPE_CHECKING:
+    from clacad.design import Design
+
+FORMAT = 1
+NODES = 128
+"""Heights of a command along each side of the box around a cell; the next cell begins after the last."""
+
+FARTHEST = 1.5
+"""Largest correction at the rim, over its range inside the measured aperture."""
+
+FIRST = 3
+"""Number of polynomials of degree 0 and 1: height and tilt of a lenslet, which a map does not show."""
+
+LONGEST = 1 << 26
+"""Longest file of numbers (bytes) of a measured part that is read."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """A command after one more measured part.
+
+    Attributes
+    ----------
+    design : Design
+    side : "front" or "back"
+    round : int
+        Number of corrections that the command holds.
+    heights : (128, 128) array, design units
+        Command over the box around one cell, out of the material, seen from outside; NaN off the cell. The
+        height in row i, column k belongs to ((k − 64) / 128, (i − 64) / 128) of the box.
+    rms, doubt : float, design units
+        Rms of the deviation that this round takes off, and its standard uncertainty.
+    history : tuple of mapping
+        What each round found: file, SHA-256 of its content, rms deviation, law_rms where light was traced.
+    stopped : str
+        Why no correction was made; "" where one was.
+    notes : tuple of str
+    """
+
+    design: Design
+    side: Name
+    round: int
+    heights: Floats
+    rms: float = 0.0
+    doubt: float = 0.0
+    history: tuple[Mapping[str, Any], ...] = ()
+    stopped: str = ""
+    notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Correction({self.design.name!r}, {self.side}, round {self.round}): {self.summary}"
+
+    @property
+    def summary(self) -> str:
+        """What was done, in a sentence."""
+        if self.stopped:
+            return self.stopped
+        nano = 1e9 * self.design.unit_m
+        return f"{nano * self.rms:.3g} nm rms of form taken off (known to {nano * self.doubt:.2g} nm)"
+
+    @cached_property
+    def face(self) -> dict[str, float]:
+        """Conic nearest to the command: radius, conic constant, and the rms (design units) that it leaves."""
+        side = _side(self.design, self.side)
+        u, v = places(side)
+        inside = side.aperture.holds(u, v)
+        u, v, z = u[inside], v[inside], self.heights.ravel()[inside]
+        spline = _surface(self.heights, side)
+        found = fit_heights(side.aperture, lambda x, y: spline(x, y), side.lenslet)
+        from clacad.measuring.fit_lenslets import conic
+
+        rest = z - conic(found, u, v, slopes=False)[0]
+        return {
+            "radius": 1.0 / float(found[3]),
+            "conic": float(found[4]),
+            "astigmatism": 2.0 * float(found[5]),
+            "rms": float(np.sqrt(np.mean((rest - rest.mean()) ** 2))),
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """JSON-ready state: lengths in the design's unit."""
+        return {
+            "format": FORMAT,
+            "design": {"name": self.design.name, "sha256": self.design.sha256, "unit_m": self.design.unit_m},
+            "side": self.side,
+            "round": self.round,
+            "rms": self.rms,
+            "u_rms": self.doubt,
+            "face": self.face,
+            "history": [dict(one) for one in self.history],
+            "notes": list(self.notes),
+        }
+
+    def write(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
+        """Write the command as a height map (NPY, JSON) and the state of the loop; return their paths.
+
+        Files of an earlier round of the same side are replaced.
+
+        Raises CannotWrite, ExportRefused.
+        """
+        state, command = _names(self.side)
+        data = io.BytesIO()
+        np.save(data, self.heights, allow_pickle=False)
+        scale = millimetres(self.design.unit_m)
+        steps = _box(_side(self.design, self.side)) / NODES * scale
+        scales = {"pixel_mm": steps.tolist(), "z_step_mm": scale, "z_at_0_mm": 0.0, "row_0": "bottom"}
+        contents: dict[str, str | bytes] = {
+            command: data.getvalue(),
+            f"{command}.json": json.dumps(scales, indent=1, sort_keys=True) + "\n",
+            state: canonical_json(self.to_dict()),
+        }
+        write_set(folder, contents, overwrite=overwrite, replace=lambda path: _ours(path.parent / state))
+        return [Path(folder) / name for name in contents]
+
+
+def correct(
+    design: Design,
+    measured: str | os.PathLike[str] | MeasuredMap,
+    *,
+    side: str = "front",
+    previous: str | os.PathLike[str] | Correction | None = None,
+    z_scale: Stated = None,
+    lateral_scale: Stated = None,
+    tilted: str | os.PathLike[str] | None = None,
+    unit: str | None = None,
+) -> Correction:
+    """Correct the commanded shape of one side by a height map of the part that was made with it.
+
+    Parameters
+    ----------
+    design : Design
+    measured : path or MeasuredMap
+        Height map of the made part as `measure` reads it, or a deviation map next to the measured.json that
+        `verify -o` wrote.
+    side : "front" or "back"
+        Side that the map shows.
+    previous : path, Correction or None
+        Folder of the last round, or its result; None: the part was made from the design itself.
+    z_scale, lateral_scale, tilted, unit
+        As `measure` takes them. Without a known scale of heights one round is made, no second.
+
+    Returns
+    -------
+    Correction
+        With `stopped` where no correction can be made.
+
+    Raises
+    ------
+    UnreadableFile, OverBudget, NotPossible
+        As `measure`.
+    BadRequest
+        The state of the last round is of another design, or the map was used before.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import clacad
+    >>> from clacad.measuring.read_map import cloud_map
+    >>> design = clacad.load("window-100mm")
+    >>> x, y = np.meshgrid(8e-6 * np.arange(200), 8e-6 * np.arange(200))  # three cells, metres
+    >>> u, v = (x + 250e-6) % 500e-6 - 250e-6, (y + 250e-6) % 500e-6 - 250e-6
+    >>> z = 0.97 * (np.sqrt(2468.14e-6**2 - u**2 - v**2) - 2468.14e-6)  # 3 % lower than commanded
+    >>> made = cloud_map("made", np.stack([x.ravel(), y.ravel(), z.ravel()]))
+    >>> found = clacad.correct(design, made, z_scale="1 +- 1e-4")
+    >>> found.round, round(found.face["radius"], 2)  # the designed sag over 0.97 once more
+    (1, 2.4)
+    """
+    if side not in ("front", "back"):
+        raise BadRequest(f"side {printable(str(side))[:40]}: it is front or back")
+    name = cast(Name, side)
+    of = _side(design, name)
+    last = _previous(design, name, previous, of)
+    digest = "" if isinstance(measured, MeasuredMap) else sha256(Path(measured).read_bytes()).hexdigest()
+    if digest and any(one.get("sha256") == digest for one in last.history):
+        raise BadRequest(
+            f"{Path(cast(str, measured)).name} was corrected in an earlier round; measure the next part"
+        )
+    maps = Maps(None, None, tilted, z_scale, lateral_scale, unit)
+    points, heights, facts = _deviation(design, of, measured, maps)
+    facts |= {"sha256": digest} if digest else {}
+    u, v, off, pixel = points
+    found, doubt = pooled_form(u, v, off, of.aperture, pixel)
+    found, doubt = shrunk(found, doubt), doubt.copy()
+    found[:FIRST] = doubt[:FIRST] = 0.0
+    made = replace(
+        last, round=last.round + 1, rms=_rms(found, of.aperture), doubt=_rms(doubt, of.aperture, alone=True)
+    )
+    facts |= {"round": made.round, "rms": made.rms}
+    notes = tuple(_notes(design, of, heights))
+    why = _why_stopped(last, made, heights)
+    if why:
+        return replace(made, round=last.round, stopped=why, notes=notes)
+    added = _added(found, of)
+    return replace(made, heights=last.heights - added, history=(*last.history, facts), notes=notes)
+
+
+def _why_stopped(last: Correction, made: Correction, heights: Scale) -> str:
+    """Reason for no correction; "" where one is made."""
+    nano = 1e9 * made.design.unit_m
+    if made.rms <= made.doubt:
+        return (
+            f"nothing to correct: the form is {nano * made.rms:.2g} nm rms off, its uncertainty is"
+            f" {nano * made.doubt:.2g} nm"
+        )
+    if last.round and heights.origin == HEIGHTS.origin:
+        return (
+            f"stopped after round {last.round}: the scale of heights is assumed to be {heights.value:g} ±"
+            f" {percent_text(heights.half, 2)}, a second round would follow its error: state it (--z-scale)"
+            " or give a tilted map (--tilted)"
+        )
+    return ""
+
+
+def _notes(design: Design, side: Side, heights: Scale) -> Iterator[str]:
+    """What limits the loop."""
+    if heights.origin == HEIGHTS.origin:
+        yield "the scale of heights is not known: one round only (--z-scale, --tilted)"
+    elif heights.half > 1e-3:
+        yield f"the loop ends at the error of the scale of heights, {percent_text(heights.half, 2)}"
+    process = process_of(design)
+    sag = side.sag * design.unit_m
+    step = process.layer or (sag / (process.levels - 1) if process.levels > 1 else 0.0)
+    if step:
+        what = f"layers of {1e9 * step:.3g} nm" if process.layer else f"{process.levels} levels"
+        yield f"{what}: {1e9 * step / sqrt(12.0):.3g} nm rms remain in every round"
+    if process.nose:
+        yield f"the nose of {1e6 * process.nose:.3g} µm rounds every seam: nothing can be commanded there"
+
+
+def _rms(form: Floats, aperture: Aperture, alone: bool = False) -> float:
+    """Rms (length) over the aperture of a form by its coefficients, or of independent errors of them."""
+    line = (np.arange(40) + 0.5) / 20.0 - 1.0
+    s, t = (one.ravel() for one in np.meshgrid(line, line))
+    inside = aperture.holds(s * aperture.half[0], t * aperture.half[1])
+    basis = legendre(s[inside], t[inside], len(form))
+    square = (basis**2).mean(axis=0) @ form**2 if alone else np.mean((basis @ form) ** 2)
+    return float(np.sqrt(square))
+
+
+def _added(form: Floats, side: Side) -> Floats:
+    """Heights (NODES, NODES) of a form over a cell, carried on to its rim within `FARTHEST` of its range."""
+    u, v = places(side)
+    half = side.aperture.half
+    off = legendre((u - side.lenslet[0]) / half[0], (v - side.lenslet[1]) / half[1], len(form)) @ form
+    known = off[side.aperture.holds(u, v)]
+    middle, reach = 0.5 * (known.max() + known.min()), 0.5 * FARTHEST * float(np.ptp(known))
+    return np.clip(off, middle - reach, middle + reach).reshape(NODES, NODES)
+
+
+# -- the cell ------------------------------------------------------------------------------------------------
+
+
+def _side(design: Design, name: Name) -> Side:
+    return sides_of(prescribe(design), 1e-3 / design.unit_m)[name]
+
+
+def _box(side: Side) -> Floats:
+    """Sides (2,) of the box around a cell."""
+    return np.asarray(2.0 * np.abs(side.lattice.tile()).max(axis=0))
+
+
+def places(side: Side) -> tuple[Floats, Floats]:
+    """Places (n,) of a command's heights, in the axes of a map of that side."""
+    steps = (np.arange(NODES) - NODES // 2) / NODES
+    width, height = _box(side)
+    u, v = np.meshgrid(width * steps, height * steps)
+    return u.ravel(), v.ravel()
+
+
+def _designed(side: Side) -> Floats:
+    """Command of the design itself; NaN outside the cell."""
+    u, v = places(side)
+    tile = side.lattice.tile()
+    edge = np.roll(tile, -1, axis=0) - tile
+    across = (u[:, None] - tile[:, 0]) * edge[:, 1] - (v[:, None] - tile[:, 1]) * edge[:, 0]
+    room = 1e-9 * float(np.abs(edge).max()) ** 2
+    z = np.where((across <= room).all(axis=1), side.outward(u, v), np.nan)
+    return z.reshape(NODES, NODES)
+
+
+def _surface(heights: Floats, side: Side) -> Any:
+    """Bicubic surface through a command, as a function of places; holes are filled by the design."""
+    from scipy.interpolate import RectBivariateSpline
+
+    u, v = (one.reshape(NODES, NODES) for one in places(side))
+    whole = np.where(np.isfinite(heights), heights, side.outward(u.ravel(), v.ravel()).reshape(u.shape))
+    spline = RectBivariateSpline(v[:, 0], u[0], whole)
+    return lambda x, y: np.asarray(spline(y, x, grid=False))
+
+
+# -- the measured part ---------------------------------------------------------------------------------------
+
+Points = tuple[Floats, Floats, Floats, float]
+"""Places of all measured points in their cells, deviations there, and the distance of neighbouring points."""
+
+
+def _deviation(
+    design: Design,
+    side: Side,
+    measured: str | os.PathLike[str] | MeasuredMap,
+    maps: Maps,
+) -> tuple[Points, Scale, dict[str, Any]]:
+    """Deviations of a measured part, its scale of heights, and what is recorded of it."""
+    if not isinstance(measured, MeasuredMap):
+        path = Path(measured)
+        if path.name.startswith("deviation") and path.suffix == ".npy":
+            return _of_deviation_map(design, side, path)
+    window = prescribe(design)
+    found, heights, _ = fitted_sides(design, window, maps.of(side.name, measured))
+    one = found[side.name]
+    check = design.check
+    rms = law_rms_of_form(window, {side.name: one.lit}, check.field, check.field_centre)
+    number, (u, v, z) = one.lenslets.placed(one.measured.points)
+    held = number >= 0
+    u, v, z = u[held], v[held], z[held]
+    facts = {"file": one.measured.name, "law_rms": rms if isfinite(rms) else None}
+    return (u, v, z - side.target(u, v), max(one.measured.pixel)), heights, facts
+
+
+def _of_deviation_map(design: Design, side: Side, path: Path) -> tuple[Points, Scale, dict[str, Any]]:
+    """Deviations of a map that `verify -o` wrote, by the lattice in the measured.json next to it."""
+    numbers = _read_json(path.with_name(NUMBERS))
+    try:
+        if numbers["design"]["sha256"] != design.sha256:
+            raise BadRequest(f"{path.name}: it was measured against another design or other keys")
+        of = numbers["sides"][side.name]
+        origin, *steps = np.array(of["lattice"], dtype=np.float64)
+        level, plane = np.array(of["level"]), np.array(of["plane"])
+        scale = Scale(numbers["z_scale"], 2.0 * numbers["u_z_scale"], numbers["z_scale_origin"])
+        facts = {"file": path.name, "law_rms": numbers["law_rms"]}
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadRequest(
+            f"{path.name}: {NUMBERS} next to it holds no lattice of the {side.name}; measure again with"
+            " clacad verify --role scan -o"
+        ) from error
+    measured = read_map(path).scaled(design.unit_m, design.unit_m)
+    lattice = Found(origin, np.column_stack(steps))
+    x, y, off = measured.points
+    u, v = _levelled(lattice, level, plane, side, (x, y, off))
+    return (u, v, off, max(measured.pixel)), scale, facts
+
+
+def _levelled(
+    lattice: Found, level: Floats, plane: Floats, side: Side, points: tuple[Floats, Floats, Floats]
+) -> tuple[Floats, Floats]:
+    """Places in their cells of points of a map with the deviations there; the map may be tilted."""
+    x, y, off = points
+    along = lattice.basis[:, 0] / np.hypot(*lattice.basis[:, 0])
+    axes = np.array([[along[0], -along[1]], [along[1], along[0]]])
+    place = np.stack([x, y])
+    for _ in range(4):
+        cell = np.rint(lattice.index(place[0], place[1])).astype(np.int64)
+        u, v = axes.T @ (place - lattice.centres(cell.T).T)
+        height = plane[0] + plane[1:] @ place + side.target(u, v) + off
+        seen = level.T @ np.vstack([place, height])
+        place = place + np.stack([x, y]) - seen[:2]
+    return u, v
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    from clacad.base.untrusted_files import read_regular
+
+    try:
+        found = json.loads(read_regular(path, LONGEST))
+    except (OSError, ValueError, RecursionError) as error:
+        raise BadRequest(f"{path.name} cannot be read: {printable(str(error))[:80]}") from error
+    if not isinstance(found, dict):
+        raise BadRequest(f"{path.name}: not a JSON object")
+    return found
+
+
+# -- state of the loop ---------------------------------------------------------------------------------------
+
+
+def _names(side: Name) -> tuple[str, str]:
+    """Names of the files of a side: state of the loop, and command."""
+    return f"correction-{side}.json", f"command-{side}.npy"
+
+
+def _previous(
+    design: Design, name: Name, previous: str | os.PathLike[str] | Correction | None, side: Side
+) -> Correction:
+    """The command that the measured part was made from."""
+    if isinstance(previous, Correction):
+        if previous.design.sha256 != design.sha256 or previous.side != name:
+            raise BadRequest("the last round is of another design or side")
+        return replace(previous, stopped="", notes=())
+    state, command = _names(name)
+    if previous is None or not (Path(previous) / state).exists():
+        return Correction(design, name, 0, _designed(side))
+    found = _read_json(Path(previous) / state)
+    try:
+        known = found["design"]["sha256"], found["side"], int(found["round"]), tuple(found["history"])
+        heights = np.load(Path(previous) / command, allow_pickle=False)
+        if heights.shape != (NODES, NODES) or heights.dtype != np.float64:
+            raise ValueError(f"{command} holds other heights")
+    except (KeyError, TypeError, ValueError, OSError) as error:
+        raise BadRequest(f"{state} is no state of a correction: {printable(str(error))[:80]}") from error
+    if known[:2] != (design.sha256, name):
+        raise BadRequest(
+            f"{Path(previous) / state} is of another design, other keys or side; choose another folder"
+        )
+    return Correction(design, name, known[2], heights, history=known[3])
+
+
+def _ours(state: Path) -> bool:
+    """Whether a folder holds the state of a correction."""
+    try:
+        return '"u_rms"' in state.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
