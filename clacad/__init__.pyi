@@ -46,6 +46,7 @@ from clacad.sheet.window import Face as Face
 from clacad.sheet.window import Window as Window
 from clacad.solid.solids import solids as solids
 from clacad.stacking.make_stack import stack as stack
+from clacad.steering.scan import Scan as Scan
 from clacad.steering.scan import steer as steer
 from clacad.tracing.through_stack import trace_stack as trace_stack
 from clacad.tracing.worst_cell import measure_light as measure_light

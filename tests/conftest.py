@@ -8,7 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -56,13 +56,11 @@ def mark_by_case(item: pytest.Item, case: str) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark what is slow; put what compiles kernels first and what compiles nothing last.
+    """Mark what is slow.
 
     A heavy family of cases states at its test which cases run by default (`daily_cases`) and which slow ones continuous
-    integration runs (`ci_cases`); the other cases are slow, or long. Two workers begin at the two ends: one compiles, the
-    other finds the kernels compiled when it gets there.
+    integration runs (`ci_cases`); the other cases are slow, or long.
     """
-    tests = Path(__file__).parent
     cases: dict[str, set[str]] = {}
     for item in items:
         test, _, case = item.nodeid.removesuffix("]").partition("[")
@@ -75,11 +73,31 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
                 if unknown := set(mark.args) - cases[test]:
                     raise pytest.UsageError(f"{test} names cases that do not exist: {sorted(unknown)}")
 
-    def rank(item: pytest.Item) -> int:
-        room = item.path.relative_to(tests).parts[0]
-        return 0 if room in COMPILED else 2 if room in CLOSED_FORM else 1
 
-    items.sort(key=rank)
+def in_order(items: list[pytest.Item], room: Callable[[pytest.Item], str]) -> list[pytest.Item]:
+    """Tests that compile kernels first; those that compile nothing begin in the middle.
+
+    Two workers begin with one half each: the first compiles the kernels, the other finds them compiled when it gets
+    there. Began both with tests of kernels, both would compile them.
+    """
+    ranked = sorted(items, key=lambda item: room(item) not in COMPILED)
+    others = [item for item in ranked if room(item) not in CLOSED_FORM]
+    middle = min(len(items) // 2, len(others))
+    closed = [item for item in ranked if room(item) in CLOSED_FORM]
+    return [*others[:middle], *closed, *others[middle:]]
+
+
+class Order:
+    """Order the tests that are left after others were deselected."""
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        tests = Path(__file__).parent
+        items[:] = in_order(items, lambda item: item.path.relative_to(tests).parts[0])
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(Order())
 
 
 @pytest.fixture(autouse=True)

@@ -136,6 +136,27 @@ def test_every_link_of_a_page_leads_somewhere(page):
         )
 
 
+def anchors(page: Path) -> set[str]:
+    """Anchors of a page's headings, as GitHub and the build name them."""
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.S)
+    heads = re.findall(r"^#+ (.*)$", text, re.M)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).strip().replace(" ", "-") for head in heads}
+
+
+OTHER_PAGES = [ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted(ROOT.glob("exports/*.md"))]
+
+
+@pytest.mark.parametrize("page", [*PAGES, *OTHER_PAGES], ids=name_of)
+def test_every_file_picture_and_anchor_that_a_page_names_exists(page):
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.S)
+    for file, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", text):
+        there = page.parent / file if file else page
+        if "://" in file or "_made/" in file:
+            continue
+        assert there.exists(), file
+        assert not anchor or there.suffix != ".md" or anchor in anchors(there), f"{file}#{anchor}"
+
+
 def _generated() -> set[str]:
     text = (ROOT / "docs/pages.py").read_text(encoding="utf-8")
     (table,) = re.findall(r"^REFERENCE:.*?\n\}", text, re.S | re.M)

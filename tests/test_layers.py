@@ -40,8 +40,8 @@ ROOMS = [
     "making",  # the sheet as its process makes it, and light through it
     "verification",
     "stacking",  # sheets behind one another
-    "advice",  # forecast of verify's verdict, and the keys that would change it
     "optimising",  # a search needs the walls that checks judge by
+    "advice",  # forecast of verify's verdict, and the keys that would change it
     "rendering",
     "paper",  # the figures and movies of the paper, and what is measured in them
     "report",

@@ -16,6 +16,7 @@ from typing import Any, Final, Literal
 
 from clacad.advice.wish import KEYS, Wish, angle_text, mrad_value, wavelength_text
 from clacad.checks.check import NEAR
+from clacad.checks.light_kinds import LAW_RMS
 from clacad.design import Design
 from clacad.design.process_profiles import profile
 from clacad.design.starter_designs import template
@@ -210,6 +211,7 @@ class Variant:
     eye : {"", "field lens", "aimed"}. Means that directs the oblique light of a stated eye to its partner
         cell: none, a field lens, or cells aimed at the eye.
     layers : Materials of a slab of layers, in the order of the light; empty: the wish's one material.
+    starter : Name of the starter whose listed faces are scaled to the wish; empty: a pair by recipe.
     """
 
     form: Form
@@ -219,10 +221,11 @@ class Variant:
     slope: tuple[float, float] = (0.0, 0.0)
     eye: Literal["", "field lens", "aimed"] = ""
     layers: tuple[str, ...] = ()
+    starter: str = ""
 
     def __str__(self) -> str:
         """Return its name: "slab with field lenses"."""
-        return (
+        return self.starter or (
             "|".join(self.layers or (self.form,))
             + {"": "", "field lens": " with field lenses", "aimed": " with cells aimed at the eye"}[self.eye]
         )
@@ -252,13 +255,13 @@ def built(
 def _keys(wish: Wish, variant: Variant, pitch: float, ratio: float, name: str) -> dict[str, Any]:
     law: dict[str, Any] = {"eta": list(wish.eta), "delta": list(wish.delta), "euler": list(wish.euler)}
     body = _body(wish, variant)
-    lattice = _lattice(wish, variant, pitch)
+    lattice = lattice_keys(wish, variant, pitch)
     sections = {
         "law": law,
         "pair": _pair(wish, variant, round_to(pitch * ratio, 3), body.get("neck", round_to(pitch / 20.0, 2))),
         "lattice": lattice,
         "body": body,
-        "check": _check(wish),
+        "check": check_keys(wish),
     }
     return {
         "format": 1,
@@ -306,12 +309,14 @@ def _of_layers(wish: Wish, variant: Variant, separation: float) -> dict[str, Any
     return {**pair, "face": faces}
 
 
-def _check(wish: Wish) -> dict[str, Any]:
+def check_keys(wish: Wish) -> dict[str, Any]:
     check: dict[str, Any] = {"process": wish.process}
     if wish.field != KEYS["field"].default:
         check["field"] = angle_text(wish.field)
     if wish.white is not None:
         check["law_white"] = mrad_value(wish.white)
+    if wish.error is not None:
+        check[LAW_RMS.id] = mrad_value(wish.error)
     places = {"viewer": wish.viewing, "object": wish.object}
     return check | {name: value for name, value in places.items() if value is not None}
 
@@ -338,7 +343,7 @@ def _holes(wish: Wish, count: int, flange: float) -> dict[str, Any]:
     return holes | {"corners": 0.5 * flange}
 
 
-def _lattice(wish: Wish, variant: Variant, pitch: float) -> dict[str, Any]:
+def lattice_keys(wish: Wish, variant: Variant, pitch: float) -> dict[str, Any]:
     found: dict[str, Any] = {"kind": wish.kind, "pitch": pitch}
     if wish.size.shape == "circle":
         found["outline"] = {"circle": wish.size.size[0]}

@@ -226,12 +226,15 @@ class Proposal:
         It and its neighbours.
     judgements : int
         Number of designs that were built, traced and judged.
+    forms : tuple of str
+        Of a wide field: reasons for its form, and against others.
     """
 
     wish: Wish
     chosen: Tried
     trades: tuple[Trade, ...]
     judgements: int
+    forms: tuple[str, ...] = ()
 
     @property
     def design(self) -> Design:
@@ -251,18 +254,22 @@ class Proposal:
         return (
             f"pitch {one.pitch.value:g} mm: {one.pitch.why}",
             *not_met(self.wish, self.design),
-            f"separation {one.separation:g} mm, {one.ratio:g} pitches: the nearest at which"
-            " the law is kept as sharply as a pixel looks, or as the limits ask",
-            *(
-                []
-                if one.variant.conic is None
-                else [f"conic {one.variant.conic:g}: keeps light on the law where it goes off the axis"]
-            ),
-            *reasons_for_white(self.wish, self.judged),
-            *_for_the_eye(self),
-            *sentences(self.wish, self.trades[0]),
+            *(self.forms or self._of_recipe()),
             *warnings,
         )
+
+    def _of_recipe(self) -> Iterator[str]:
+        """Reasons for the numbers of a pair by recipe."""
+        one = self.chosen
+        yield (
+            f"separation {one.separation:g} mm, {one.ratio:g} pitches: the nearest at which"
+            " the law is kept as sharply as a pixel looks, or as the limits ask"
+        )
+        if one.variant.conic is not None:
+            yield f"conic {one.variant.conic:g}: keeps light on the law where it goes off the axis"
+        yield from reasons_for_white(self.wish, self.judged)
+        yield from _for_the_eye(self)
+        yield from sentences(self.wish, self.trades[0])
 
     @property
     def text(self) -> str:
@@ -333,13 +340,30 @@ def design_for(
     >>> found.judged.passes
     True
     """
+    from clacad.advice.wide_field import is_wide
+
     asked = wish if isinstance(wish, Wish) else read_wish(wish)
+    if is_wide(asked):
+        return _wide(asked, name, tuple(overrides), shown_progress(progress))
     search = Search(asked, name, tuple(overrides), shown_progress(progress))
     chosen = search.run()
     if chosen is None:
         raise NoSuchSheet("\n".join([*binding(search), *nearest(search)]))
     trades = trade_offs(asked, chosen.judged)
     return Proposal(asked, chosen, trades, len(search.tried) + len(trades) - 1)
+
+
+def _wide(wish: Wish, name: str, overrides: Sequence[str], progress: Progress) -> Proposal:
+    """A design of several plates for a wish of a wide field. Raises NoSuchSheet."""
+    from clacad.advice.wide_field import WideSearch
+
+    search = WideSearch(wish, name, overrides, progress)
+    chosen = search.run()
+    if chosen is None:
+        head = f"no design was found that passes; {len(search.tried)} were built and judged"
+        raise NoSuchSheet("\n".join([head, *(f"  {reason}" for reason in search.why)]))
+    own = trade_offs(wish, chosen.judged)[:1]
+    return Proposal(wish, chosen, own, len(search.tried), tuple(search.why))
 
 
 WIDTH = 118

@@ -14,6 +14,7 @@ from typing import Any, Final, Literal
 from clacad.base.text import did_you_mean, near, nm_text
 from clacad.base.types import Pair2
 from clacad.base.units import LENGTHS, Unit
+from clacad.checks.light_kinds import LAW_RMS
 from clacad.config.compound_kinds import Several
 from clacad.config.keys import REQUIRED, Key
 from clacad.config.mistakes import DesignError, Mistake, design_error
@@ -75,13 +76,14 @@ KEYS: Final[dict[str, Key]] = {
         _CHECK["law_white"].kind,
         "largest error in white light, the mean over the lines F, e, d and C: white < 0.06 mrad",
     ),
+    "error": Key(_CHECK[LAW_RMS.id].kind, "largest rms error of the law over the field: error < 1 mrad"),
     "field": Key(
         _CHECK["field"].kind, "half angle of the cone of light in which the law must hold", radians(1.0)
     ),
 }
 """Words of a wish, with reader, meaning and default of each."""
 
-LIMITS: Final = ("white",)
+LIMITS: Final = ("white", "error")
 """Words whose value is a limit, and may be written with "<"."""
 
 SYNONYMS: Final = {
@@ -140,6 +142,8 @@ class Wish:
         Number of mounting holes in the flange.
     white : float or None, radians
         Largest mean error over the lines of white light; None: it is not judged.
+    error : float or None, radians
+        Largest rms error of the law over the field; None: the limit of verify.
     """
 
     eta: Pair2
@@ -159,6 +163,7 @@ class Wish:
     flange: float | None = None
     holes: int | None = None
     white: float | None = None
+    error: float | None = None
 
     @property
     def distance(self) -> float:
@@ -213,7 +218,7 @@ def mrad_value(radians_: float) -> str:
     return text if _CHECK["law_white"].kind.read(text, UNIT) == radians_ else f"{radians_!r} rad"
 
 
-_TEXTS: Final = {"field": angle_text, "wavelength": wavelength_text, "white": mrad_value}
+_TEXTS: Final = {"field": angle_text, "wavelength": wavelength_text, "white": mrad_value, "error": mrad_value}
 """Writers of values with a unit."""
 
 

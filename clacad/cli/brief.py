@@ -109,6 +109,10 @@ def _fitted(lists: Sequence[Sequence[Entry]], width: int, room: int) -> Iterator
             room -= 1
 
 
+SHELL_WORDS = r"\s*(?:'[^']*'|\"[^\"]*\"|[^\s'\"])+"
+"""Words of a command, quoted or not, each with the space before it."""
+
+
 def _command(line: str, width: int) -> list[str]:
     """A command broken between words, each line but the last ended by a backslash: it runs when pasted."""
     *broken, last = _folded(line, width, LINES, whole=True)
@@ -132,7 +136,7 @@ def _folded(line: str, width: int, most: int, *, whole: bool = False) -> list[st
     under = 0 if start is None else len(start[0])
     if under > width // 2:
         under = len(line) - len(line.lstrip()) + 2
-    made, rest = [""], re.findall(r"\s*\S+", line)
+    made, rest = [""], re.findall(SHELL_WORDS if whole else r"\s*\S+", line)
     while rest:
         word = rest.pop(0)
         if _width(made[-1] + word) <= width:

@@ -21,7 +21,7 @@ from clacad.cli.command import (
     required,
 )
 from clacad.cli.console import Console, show_text, table
-from clacad.cli.option_values import BadOption, cell_option, load_counted, load_design
+from clacad.cli.option_values import BadOption, cell_option, command_line, load_counted, load_design
 
 if TYPE_CHECKING:
     from clacad.advice import Advice, Fixed, Judged
@@ -68,7 +68,7 @@ def run_check(request: CheckDesign, console: Console) -> int:
         _show(judged, forecast, console)
     elif not console.quiet:
         advice = _advised(judged, console)
-        console.show(dict, str, lambda: _brief(judged, forecast, advice, request.design))
+        console.show(dict, str, lambda: _brief(judged, forecast, advice, request))
     if judged.passes and all(row["refused"] for row in forecast):
         raise LimitRefused(str(forecast[0]["refused"]))
     return 0 if judged.passes else 1
@@ -110,7 +110,7 @@ def _show(judged: Judged, forecast: list[dict[str, Any]], console: Console) -> N
     show_text(f"{advice}\n{judged.verdict()}".lstrip("\n"))
 
 
-def _brief(judged: Judged, forecast: list[dict[str, Any]], advice: Advice, path: Path) -> Brief:
+def _brief(judged: Judged, forecast: list[dict[str, Any]], advice: Advice, request: CheckDesign) -> Brief:
     """Sheet, law, light, lenses and files in a line each; failures and warnings with what mends them."""
     from clacad.cli.tables import counted, problems
 
@@ -124,9 +124,12 @@ def _brief(judged: Judged, forecast: list[dict[str, Any]], advice: Advice, path:
         ("files", "; ".join(map(_file, forecast))),
     ]
     free = [] if advice.sharper is None else [("free", f"  free     {advice.sharper}")]
-    following = f"clacad check {path} --fix -o {path.stem}-fixed.toml"
+    path, changes = request.design, request.set
+    following = command_line("clacad check", path, "--fix", "-o", f"{path.stem}-fixed.toml", changes=changes)
     if judged.passes:
-        following = f"clacad export {path} -o exports/{path.stem} --format step"
+        following = command_line(
+            "clacad export", path, "-o", f"exports/{path.stem}", "--format", "step", changes=changes
+        )
     return Brief(
         f"{design.name}: {word}",
         (facts(rows), [*problems(judged.checks, advice.of), *free]),
@@ -297,14 +300,14 @@ def _show_fixed(fixed: Fixed, written: Path | None, console: Console) -> int:
     blocks += [f"changed\n{table(fixed.rows())}"] if fixed.changes else []
     blocks.append(str(fixed))
     if written is not None:
-        blocks.append(f"wrote {written}\nnext: clacad export {written} -o exports --format step")
+        blocks.append(f"wrote {written}\nnext: {command_line('clacad export', written, *OUT)}")
     path = None if written is None else str(written)
 
     def brief() -> Brief:
         from clacad.cli.tables import problems
 
         rows = [facts(fixed.rows()), [] if fixed.judged is None else problems(fixed.judged.checks)]
-        following = () if path is None else (f"clacad export {path} -o exports --format step",)
+        following = () if path is None else (command_line("clacad export", path, *OUT),)
         word = str(fixed)
         made = [("file", f"  wrote {path}")] if path is not None else []
         return Brief(f"{name}: {word}", (*rows, made), following, word)
@@ -313,6 +316,10 @@ def _show_fixed(fixed: Fixed, written: Path | None, console: Console) -> int:
         lambda: {"design": name, **fixed.to_dict(), "written": path}, lambda: "\n".join(blocks), brief
     )
     return 0 if fixed.passes else 1
+
+
+OUT = ("-o", "exports", "--format", "step")
+"""Options of the command that makes a design that was fixed."""
 
 
 @dataclass(frozen=True, kw_only=True)

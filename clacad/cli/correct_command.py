@@ -36,6 +36,9 @@ class Correct(OfDesign):
         "--tilted MAP", "A map of the same field tilted by 8 deg: gives the z scale."
     )
     unit: str | None = option("--unit WORD", "Length unit of a cloud x y z that states none, e.g. um.")
+    calibration: Path | None = option(
+        "--calibration CSV", "Level and depth by clacad calibrate: writes the dose of the command, too."
+    )
     overwrite: bool = overwrite_option("Replace files of another origin.")
 
 
@@ -64,7 +67,11 @@ def run(request: Correct, console: Console) -> int:
             tilted=request.tilted,
             unit=request.unit,
         )
-    written = [] if found.stopped else found.write(request.out, overwrite=request.overwrite)
+    written = (
+        []
+        if found.stopped
+        else found.write(request.out, overwrite=request.overwrite, calibration=request.calibration)
+    )
     head = f"{design.name}, {side}, round {found.round}: {found.summary}"
     rows = [*_rows(found), *([("wrote", ", ".join(map(str, written)))] if written else [])]
     console.show(

@@ -13,6 +13,7 @@ from clacad.cli.command import Command, OfDesign, declared, dry_run_option, opti
 from clacad.cli.console import Console, Progress, say
 from clacad.cli.option_values import (
     BadOption,
+    command_line,
     load_design,
     one_of,
     parse_angle,
@@ -134,7 +135,9 @@ def _export(given: Export, design: Design, request: Request, console: Console) -
         files = files_text(manifest.files, design.check.of_light[0])
         return f"{design.name}\n{derived}\nfiles in {manifest.folder}\n{files}\nnext: {following}"
 
-    following = f"clacad verify {given.design} --files {given.out} -o {given.out / 'report'}"
+    cells = () if given.cells is None else ("--cells", "x".join(map(str, given.cells)))
+    where = "--files", given.out, "-o", given.out / "report"
+    following = command_line("clacad verify", given.design, *cells, *where, changes=given.set)
     console.show(lambda: dict(manifest.document), text, lambda: _brief(design, manifest, following))
     return 0
 

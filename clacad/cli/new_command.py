@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, Overridden, dry_run_option, flag, option, overwrite_option
 from clacad.cli.console import Console, say, table
-from clacad.cli.option_values import BadOption
+from clacad.cli.option_values import BadOption, command_line
 
 if TYPE_CHECKING:
     from clacad.advice.proposal import Proposal
@@ -37,7 +37,8 @@ class New(Overridden):
     wishes: tuple[str, ...] = option(
         "--for KEY=VALUE,...",
         "Find a design that does this and passes verify: eta, width or circle, viewing, object, process, "
-        "material, index, wavelength, pitch, flange, holes, form, kind, delta, euler, field, white; e.g. "
+        "material, index, wavelength, pitch, flange, holes, form, kind, delta, euler, field, error, "
+        "white; e.g. "
         "'eta=-1, circle=60 mm, process=moulding'. Repeatable.",
         (),
     )
@@ -119,16 +120,13 @@ def _from_template(request: New, target: Path, console: Console) -> int:
     if not request.dry_run:
         with _place(target, overwrite=request.overwrite) as write:
             write(text)
-    out = target.with_suffix("")
+    checking = command_line("clacad check", target)
     console.show(
         lambda: {"path": str(target), "template": template, "text": text, "written": not request.dry_run},
         lambda: (
             text.rstrip("\n")
             if request.dry_run
-            else (
-                f"wrote {target}\nnext: clacad check {target}\n      clacad export {target} -o {out} --format"
-                " step"
-            )
+            else ("\n      ".join([f"wrote {target}\nnext: {checking}", _following(target)[0]]))
         ),
     )
     return 0
@@ -185,7 +183,9 @@ def _text(found: Proposal, target: Path) -> str:
 def _following(target: Path) -> tuple[str, str]:
     """Commands that make the design and judge its files."""
     out = target.with_suffix("")
-    return f"clacad export {target} -o {out} --format step", f"clacad verify {target} --files {out}"
+    return command_line("clacad export", target, "-o", out, "--format", "step"), command_line(
+        "clacad verify", target, "--files", out
+    )
 
 
 def _brief(found: Proposal, target: Path) -> Brief:

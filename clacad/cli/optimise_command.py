@@ -17,17 +17,22 @@ from clacad.cli.interrupts import INTERRUPTED
 from clacad.cli.option_values import (
     BadOption,
     cell_option,
+    command_line,
     load_counted,
     of_cell,
     parse_angle,
     parse_design_file,
+    parse_moves,
+    parse_travel,
     words_of,
 )
 
 if TYPE_CHECKING:
     from clacad.checks.check import Check
+    from clacad.design import Design
     from clacad.optimising import Optimised
-    from clacad.optimising.gain_as_made import GainAsMade
+    from clacad.report.better_faces import GainAsMade
+    from clacad.steering import Scan
 
 TASK = "optimise"
 
@@ -80,6 +85,17 @@ class Optimise(OfDesign):
         "Seek the least mean error over lines of light: visible (F e d C), photopic, or design (its "
         "[light]); default the design's wavelength.",
     )
+    scan: str | None = option(
+        "--scan LENGTH",
+        "Of plates that move by up to this to either side, e.g. '±50 um': seek the least spread at all "
+        "positions, with the exit beam, the last slope and the share held.",
+    )
+    axis: str = option("--axis A", "Axis of the scan: x, y or xy.", "x")
+    move: dict[int, float] | None = option(
+        "--move plate2=1,plate3=.5",
+        "Plates that the scan moves, and their part of the travel; default the last by 1.",
+        read=parse_moves,
+    )
     starts: int = option(
         "--starts N", "Starts of the search, the first from the design's faces.", 1, least=1, most=1000
     )
@@ -113,9 +129,10 @@ def run(request: Optimise, console: Console) -> int:
     from clacad.storage.atomic import write_file
 
     page, weights = _page(request), request.weights or ((1.0, 1.0),)
+    scan = _scan(request, design)
     with _named_as_typed():
         ahead = outlook(
-            design, request.free, weights, tolerances=request.tolerances, spectrum=request.spectrum
+            design, request.free, weights, tolerances=request.tolerances, spectrum=request.spectrum, scan=scan
         )
     ahead["seconds"] *= request.starts
     ahead["seconds"] += _page_seconds(page)
@@ -135,7 +152,7 @@ def run(request: Optimise, console: Console) -> int:
             found = optimise(
                 design,
                 request.free,
-                request.field,
+                scan or request.field,
                 best_so_far,
                 weights=weights,
                 tolerances=request.tolerances,
@@ -149,6 +166,17 @@ def run(request: Optimise, console: Console) -> int:
         write_file(request.out, search, overwrite=request.overwrite)  # refuses a taken name before the search
         made = _compared(ended[0], page, overwrite=request.overwrite)
     return _finished(ended[0], made, request, console)
+
+
+def _scan(request: Optimise, design: Design) -> Scan | None:
+    """Positions of the requested scan."""
+    if request.scan is None:
+        if request.move is not None:
+            raise BadOption("--move belongs to --scan, the travel of the plates")
+        return None
+    from clacad.steering import Scan
+
+    return Scan(parse_travel("--scan", request.scan, design.unit), request.axis, request.move)
 
 
 @contextmanager
@@ -211,7 +239,7 @@ def _finished(found: Optimised, made: GainAsMade | None, request: Optimise, cons
     checks = () if judged is None else judged.failing
     failed = [f"{one.id}: {one.sentence}" for one in checks]
     more = {} if made is None else {"page": str(request.compare), "as_made": made.to_dict()}
-    following = f"clacad check {out}" if failed else f"clacad verify {out}"
+    following = command_line("clacad check" if failed else "clacad verify", str(out))
     word = "" if judged is None else judged.verdict()
     pages = "" if made is None else f" and {request.compare}"
     written = f"wrote {out}{pages}{', the best so far' if found.stopped else ''}"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from math import hypot, isfinite, pi, tan
@@ -40,6 +42,12 @@ def load_design(path: Path, overrides: tuple[str, ...]) -> Design:
     from clacad.design import load
 
     return load(path, overrides)
+
+
+def command_line(start: str, design: Path | str, *rest: Path | str, changes: tuple[str, ...] = ()) -> str:
+    """A command as it is typed in a shell: first words, a design, --set KEY=VALUE options, the rest."""
+    options = [part for change in changes for part in ("--set", change)]
+    return shlex.join([*start.split(), *map(str, [design, *options, *rest])])
 
 
 def load_counted(path: Path, overrides: tuple[str, ...]) -> Design:
@@ -264,6 +272,29 @@ def parse_distance(option: str, text: str, unit: str, *, zero: bool = False) -> 
     from clacad.config.quantities import LENGTH_ABOVE_0, LENGTH_FROM_0
 
     return read_length(f"{option} {text.strip()}:", text, unit, LENGTH_FROM_0 if zero else LENGTH_ABOVE_0)
+
+
+def parse_moves(option: str, text: str) -> dict[int, float]:
+    """Read "plate2=1,plate3=.5" as plate number → displacement per travel."""
+    found: dict[int, float] = {}
+    for part in text.split(","):
+        named = re.fullmatch(r"\s*plate([1-9][0-9]?)\s*=\s*(\S+)\s*", part)
+        try:
+            number, value = int(named[1]), float(named[2])  # type: ignore[index]
+        except (TypeError, ValueError):
+            number, value = 0, float("nan")
+        if not isfinite(value):
+            raise BadOption(f"{option} {text}: it is plates and their part of the travel, plate2=1,plate3=.5")
+        if number in found:
+            raise BadOption(f"{option} {text}: plate{number} is named twice")
+        found[number] = value
+    return found
+
+
+def parse_travel(option: str, text: str, unit: str) -> float:
+    """Read a travel to either side, "±50 um" or "50 um", in the unit of a design."""
+    typed = text.strip().removeprefix("±").removeprefix("+-").removeprefix("+/-")
+    return parse_distance(option, typed, unit)
 
 
 def read_length(said: str, text: str, unit: str, kind: Quantity) -> float:

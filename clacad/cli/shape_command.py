@@ -18,7 +18,14 @@ from clacad.cli.command import (
     required,
 )
 from clacad.cli.console import Console
-from clacad.cli.option_values import BadOption, parse_angle, parse_cells, parse_design_file, parse_distance
+from clacad.cli.option_values import (
+    BadOption,
+    command_line,
+    parse_angle,
+    parse_cells,
+    parse_design_file,
+    parse_distance,
+)
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -96,12 +103,11 @@ def run(request: ShapeBeam, console: Console) -> int:
     out, cells, picture = paths
     written = f"wrote {out}, {cells} and {picture}"
     head, *lines = _lines(design, found, seen, distance)
+    following = command_line("clacad image", out)
     console.show(
         lambda: _document(design, found, seen) | {"files": [str(path) for path in paths]},
-        lambda: "\n".join([head, *lines, written, f"next: clacad image {out}"]),
-        lambda: Brief(
-            head, ([*(("", line) for line in lines), ("files", written)],), (f"clacad image {out}",)
-        ),
+        lambda: "\n".join([head, *lines, written, f"next: {following}"]),
+        lambda: Brief(head, ([*(("", line) for line in lines), ("files", written)],), (following,)),
     )
     return 0
 

@@ -13,6 +13,7 @@ from clacad.cli.command import Command, declared, dry_run_option, flag, option, 
 from clacad.cli.console import Console, table
 from clacad.cli.option_values import (
     BadOption,
+    command_line,
     load_sheets,
     one_of,
     own_overrides,
@@ -210,7 +211,7 @@ def _solve(request: StackSheets, console: Console) -> int:
     able = "not possible with these sheets" if best is None else solved_text(best, wanted, unit)
     head = f"{wanted.name}: {able}"
     rows = [row for count, one in found.items() for row in rows_of(count, one, unit)]
-    following = () if best is None or request.out is None else (f"clacad stack {request.out}",)
+    following = () if best is None or request.out is None else (command_line("clacad stack", request.out),)
     console.show(
         lambda: report_of(found, wanted, unit),
         lambda: f"{head}\n{table(rows)}\nwrote {written}",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -12,7 +11,7 @@ from clacad.base.text import mrad_text, percent_text, table
 from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, dry_run_option, option, overwrite_option, required
 from clacad.cli.console import Console
-from clacad.cli.option_values import BadOption, load_counted, parse_distance
+from clacad.cli.option_values import BadOption, load_counted, parse_angle, parse_moves, parse_travel
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -32,23 +31,6 @@ SECONDS_A_RAY, SECONDS_OF_WAVES = 4e-6, 0.8
 """Processor seconds for each ray, and for the waves of a position, on the reference machine."""
 
 
-def parse_moves(option: str, text: str) -> dict[int, float]:
-    """Read "plate2=1,plate3=.5" as plate number → displacement per travel."""
-    found: dict[int, float] = {}
-    for part in text.split(","):
-        named = re.fullmatch(r"\s*plate([1-9][0-9]?)\s*=\s*(\S+)\s*", part)
-        try:
-            number, value = int(named[1]), float(named[2])  # type: ignore[index]
-        except (TypeError, ValueError):
-            number, value = 0, float("nan")
-        if not isfinite(value):
-            raise BadOption(f"{option} {text}: it is plates and their part of the travel, plate2=1,plate3=.5")
-        if number in found:
-            raise BadOption(f"{option} {text}: plate{number} is named twice")
-        found[number] = value
-    return found
-
-
 @dataclass(frozen=True, kw_only=True)
 class SteerBeam(OfDesign):
     """Move plates of a design and print where light along the normal goes at every position."""
@@ -65,6 +47,11 @@ class SteerBeam(OfDesign):
     waves: bool = option(
         "--waves/--no-waves", "Efficiency of diffraction orders in coherent light; most of the time.", True
     )
+    tilt: float | None = option(
+        "--tilt ANGLE",
+        "Tilt of each plate that moves, e.g. '0.1 mrad': print how much the exit slopes change by it.",
+        read=parse_angle,
+    )
     out: Path | None = option("-o, --out FILE", "Table .csv, picture .png or .svg, page with a slider .html.")
     dry_run: bool = dry_run_option()
     overwrite: bool = overwrite_option()
@@ -76,8 +63,7 @@ def run(request: SteerBeam, console: Console) -> int:
     if request.out is not None and kind is None:
         raise BadOption(f"-o {request.out}: the name ends in {', '.join(KINDS)}")
     design = load_counted(request.design, request.set)
-    typed = request.travel.strip().removeprefix("±").removeprefix("+-").removeprefix("+/-")
-    travel = parse_distance("--travel", typed, design.unit)
+    travel = parse_travel("--travel", request.travel, design.unit)
     seconds = 0.5 + request.positions * (
         SECONDS_A_RAY * request.rays + (SECONDS_OF_WAVES if request.waves else 0.0)
     )
@@ -89,23 +75,15 @@ def run(request: SteerBeam, console: Console) -> int:
             ),
         )
         return 0
-    from clacad.steering import steer
+    from clacad.steering import Scan, steer
     from clacad.storage.atomic import require_writable, write_content
 
     if request.out is not None:
         require_writable(request.out, overwrite=request.overwrite)
     with console.progress() as progress, console.forecast(TASK, seconds) as span:
         progress.expect(span.middle)
-        found = steer(
-            design,
-            travel,
-            request.axis,
-            request.move,
-            positions=request.positions,
-            rays=request.rays,
-            waves=request.waves,
-            progress=progress,
-        )
+        scan = Scan(travel, request.axis, request.move, request.positions, request.tilt or 0.0)
+        found = steer(design, scan, rays=request.rays, waves=request.waves, progress=progress)
     if request.out is not None and kind is not None:
         write_content(request.out, _content(design, found, kind), overwrite=request.overwrite)
     console.show(found.to_dict, lambda: _text(found), lambda: _brief(found))
@@ -165,11 +143,21 @@ def _notes(found: Steered) -> list[tuple[str, str]]:
             f"{mrad_text(found.nonlinearity, 3)}",
         ),
         ("cross-talk", f"{mrad_text(found.cross_talk, 3)} across the travel"),
+        *_wobble(found),
         (
             "orders",
             f"{steps} apart in coherent light; efficiency of the nearest order, and of one at the peak",
         ),
     ]
+
+
+def _wobble(found: Steered) -> list[tuple[str, str]]:
+    """Largest change of the slopes by a tilt, if one was requested."""
+    if not found.tilt:
+        return []
+    middle, rim = (mrad_text(value, 3) for value in found.wobble)
+    text = f"a plate that moves, tilted by {mrad_text(found.tilt, 3)}, changes the slopes by {middle} at most"
+    return [("wobble", f"{text}, and by {rim} at the rim of the sheet")]
 
 
 def _text(found: Steered) -> str:

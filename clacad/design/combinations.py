@@ -81,6 +81,7 @@ _TOLERATED: Final = (
     TOLERANCES.thickness,
     TOLERANCES.tilt,
     TOLERANCES.roughness,
+    TOLERANCES.shrinkage,
     TOLERANCES.scatter_pitch,
     TOLERANCES.scatter_radius,
     TOLERANCES.scatter_vertex,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from clacad.config.mistakes import Mistake
 from clacad.design.faces import AIR, FaceSpec, vertices_of
-from clacad.design.sections import BODY, LATTICE, LAW, LIGHT, PAIR, LightSpec
+from clacad.design.sections import BODY, CHECK, LATTICE, LAW, LIGHT, PAIR, LightSpec
 
 if TYPE_CHECKING:
     from clacad.design.rules import Asked
@@ -153,7 +153,7 @@ def media_are_known(a: Asked) -> Iterator[Mistake]:
     faces: tuple[FaceSpec, ...] = a(PAIR.face) or ()
     wavelength: Any = a(PAIR.wavelength)
     for number, face in enumerate(faces):
-        if a(PAIR.form) != "plates" or face.behind in (None, AIR):
+        if a(PAIR.form) != "plates" or face.behind in (None, AIR, DIFFRACTIVE):
             continue
         from clacad.optics.material.catalogue import find
 
@@ -221,10 +221,52 @@ def layers_are_achromatic(a: Asked) -> Iterator[Mistake]:
     yield from _order(a, layers, colours)
 
 
+def plates_are_achromatic(a: Asked) -> Iterator[Mistake]:
+    """Refuse, with numbers, what cannot undo the colour of listed plates: a diffractive term, and a second
+    material across air, where `check.law_white` is written.
+    """
+    faces: tuple[FaceSpec, ...] = a(PAIR.face) or ()
+    media = [str(face.behind) for face in faces if face.behind is not None]
+    if a(PAIR.form) != "plates" or len(media) < len(faces):
+        return
+    try:
+        colours = {name: _colour(a, name) for name in media if name not in (AIR, DIFFRACTIVE)}
+    except ValueError:  # another rule reports it
+        return
+    if DIFFRACTIVE in media and colours:
+        z = vertices_of(faces)
+        steps = zip(media[:-1], z[1:], z[:-1], strict=True)
+        length = sum((high - low) / (colours[m].index if m in colours else 1.0) for m, high, low in steps)
+        name = next(iter(colours))
+        yield from _diffractive(
+            a, name, colours[name], length, f"{PAIR.face}.{media.index(DIFFRACTIVE)}.behind"
+        )
+    elif a(CHECK.law_white) is not None and len(media) == 4 and media[1] == AIR and media[0] != media[2]:
+        yield from _across_air(a, media[0], media[2], colours)
+
+
+def _across_air(a: Asked, one: str, two: str, colours: dict[str, Colour]) -> Iterator[Mistake]:
+    """Refuse plates of two materials with air between them in white light."""
+    eta = a(LAW.eta)
+    if eta is None or min(eta) >= 0.0:
+        return
+    first, last = colours[one].v, colours[two].v
+    yield Mistake(
+        "CL114",
+        f"lens 1 of {one} (V = {first:.4g}) and lens 2 of {two} (V = {last:.4g}) with air between them: the"
+        f" colour of eta vanishes at eta = {last / first:.3g} alone, and at no eta below 0 (here"
+        f" {min(eta):g})",
+        f"{PAIR.face}.2.behind",
+        allowed="one material for both, or a joint in each plate; any without check.law_white",
+        hint="clacad new --template achromat-doublets",
+    )
+
+
 def _order(a: Asked, layers: tuple[str, ...], colours: dict[str, Colour]) -> Iterator[Mistake]:
     """Require one material of both lenses, another between them, and nothing else."""
     if DIFFRACTIVE in layers and colours:
-        yield from _diffractive(a, next(iter(colours)), next(iter(colours.values())))
+        name = next(iter(colours))
+        yield from _diffractive(a, name, colours[name], a(PAIR.separation), PAIR.layers)
     elif layers[0] != layers[-1] and {layers[0], layers[-1]} <= colours.keys():
         first, last = (colours[layers[k]].v for k in (0, -1))
         yield Mistake(
@@ -252,9 +294,12 @@ def _colour(a: Asked, name: str) -> Colour:
     return Colour(one.index(a(PAIR.wavelength) or 0.0), one.index(min(lines)) - one.index(max(lines)))
 
 
-def _diffractive(a: Asked, name: str, colour: Colour) -> Iterator[Mistake]:
-    """Refuse a diffractive term with its zones over a cell, and the size of cells that have enough."""
-    pitch, s, eta, unit = a(LATTICE.pitch), a(PAIR.separation), a(LAW.eta), a.unit
+def _diffractive(a: Asked, name: str, colour: Colour, s: float | None, key: str) -> Iterator[Mistake]:
+    """Refuse a diffractive term with its zones over a cell, and the size of cells that have enough.
+
+    s : length in air that equals that between the lenses
+    """
+    pitch, eta, unit = a(LATTICE.pitch), a(LAW.eta), a.unit
     if pitch is None or s is None or eta is None or unit is None:
         return
     lines, wavelength = LightSpec(spectrum=a(LIGHT.spectrum)).lines, a(PAIR.wavelength)
@@ -267,7 +312,7 @@ def _diffractive(a: Asked, name: str, colour: Colour) -> Iterator[Mistake]:
         f"a diffractive term that undoes the colour of {name} has {zones:.2g} zones over a cell, and a"
         f" grating needs {LEAST_ZONES:g}: pitch²/separation = {size * LEAST_ZONES / zones:.2g} {unit.name},"
         f" not {size:.2g}",
-        PAIR.layers,
+        key,
         allowed="materials only: a diffractive term is not built",
         hint="three layers of two materials",
     )
@@ -286,4 +331,10 @@ def diffractive_zones(colour: Colour, size: float, eta: float, spread: float, wa
     return share * abs(1.0 - eta) * size / (4.0 * wavelength)
 
 
-MEDIA_RULES: Final = (face_list_stands_alone, faces_make_plates, media_are_known, layers_are_achromatic)
+MEDIA_RULES: Final = (
+    face_list_stands_alone,
+    faces_make_plates,
+    media_are_known,
+    layers_are_achromatic,
+    plates_are_achromatic,
+)

@@ -231,6 +231,7 @@ class SearchRecord:
     history : tuple of (evaluations, rms error in mrad)
         One entry for each improvement of the best by a tenth, and the first and the last.
     spectrum : tuple of (wavelength in nm, weight); empty: the design's wavelength alone.
+    scan : Travel, axis and plates of a scan; None: the plates rest.
     """
 
     start_sha256: str = key(_SHA, "SHA-256 of the design that the search began with", REQUIRED)
@@ -243,6 +244,7 @@ class SearchRecord:
     rays: int = key(_COUNT, "number of rays", REQUIRED)
     history: tuple[tuple[float, float], ...] = key(_PAIRS[1], "rms error after evaluations", REQUIRED)
     spectrum: tuple[tuple[float, float], ...] = key(_PAIRS[2], "lines of white light and their weights", ())
+    scan: str | None = key(Text("a scan", 200), "travel and plates of the scan that was searched")
 
     def to_dict(self) -> dict[str, Any]:
         """The table of a design file."""

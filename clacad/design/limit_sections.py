@@ -169,6 +169,9 @@ class TolerancesSpec:
     )
     tilt: float = key(_NO_ANGLE, "tilt of array 2 against array 1 about x and about y", 0.0)
     roughness: float = key(_LIMIT_LENGTH, "rms roughness of the optical faces, from 0 up", 0.0)
+    shrinkage: float = key(
+        _PART_FROM_0, "error of the shrinkage of all lens faces in height, by the process", 0.0, later=True
+    )
     scatter_pitch: Pair2 = key(
         Several(_LIMIT_LENGTH, _ARRAYS, single=True),
         "rms displacement of the single lenslets of a face in x and in y",

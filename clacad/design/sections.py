@@ -245,6 +245,14 @@ def _pitch_of_kind(lattice: LatticeSpec, pitch: Pair2 | None) -> Pair2 | float |
     return pitch if pitch is None or lattice.kind == "rectangular" else pitch[0]
 
 
+@dataclass(frozen=True, slots=True)
+class OpaqueLine:
+    """Opaque line along the borders of all cells, printed or etched on one face; `face` counts from 1."""
+
+    face: int = key(Whole("a whole number from 1 to 40", 1, 40), "face, in the order of the light", REQUIRED)
+    width: float = key(LENGTH_ABOVE_0, "width of the line", REQUIRED)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LatticeSpec:
     """Section [lattice]: number and positions of the pairs. Lengths in design units, `rotation_2` in radians.
@@ -278,6 +286,11 @@ class LatticeSpec:
     )
     land: Literal["clear", "opaque"] = key(
         Word(("clear", "opaque")), "whether land lets light through", "clear"
+    )
+    line: OpaqueLine | None = key(
+        Record(OpaqueLine),
+        "opaque line along the borders of all cells, printed or etched on one face",
+        later=True,
     )
     pitch_2: Pair2 | None = key(
         Several(LENGTH_ABOVE_0, _XY, single=True),

@@ -87,6 +87,28 @@ def seam_leaves_a_lens(a: Asked) -> Iterator[Mistake]:
         )
 
 
+def line_leaves_a_lens(a: Asked) -> Iterator[Mistake]:
+    """An opaque line must be narrower than the cell and lie on a face of identical cells."""
+    line, pitch = a(LATTICE.line), a(LATTICE.pitch)
+    if line is None:
+        return
+    if pitch is not None and line.width >= min(pitch):
+        yield Mistake(
+            "CL117",
+            f"a line of {line.width:g} leaves no lens in a cell of {a.says(LATTICE.pitch)}",
+            LATTICE.line,
+            allowed=f"width below the pitch, {min(pitch):g}",
+        )
+    faces = len(a(PAIR.face)) if a(PAIR.form) == "plates" and a(PAIR.face) else 0
+    if faces and line.face > faces:
+        yield Mistake(
+            "CL117",
+            f"lattice.line is on face {line.face} of {faces}",
+            LATTICE.line,
+            allowed=f"a face from 1 to {faces}, in the order of the light",
+        )
+
+
 def outline_holds_a_cell(a: Asked) -> Iterator[Mistake]:
     """An outline must contain a whole cell; the positions of cells depend on their count."""
     outline, pitch = a(LATTICE.outline), a(LATTICE.pitch)
@@ -415,6 +437,7 @@ RULES: Final[tuple[Rule, ...]] = (
     *MEDIA_RULES,
     pitch_fits_lattice,
     seam_leaves_a_lens,
+    line_leaves_a_lens,
     outline_holds_a_cell,
     count_or_outline,
     outline_is_simple,

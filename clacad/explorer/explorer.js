@@ -3,7 +3,7 @@
   const page = document.getElementById("explorer"), facts = JSON.parse(page.dataset.facts);
   const canvas = page.querySelector("canvas"), verdictLine = page.querySelector("[data-verdict]");
   const tomlBox = page.querySelector("[name=toml]"), told = page.querySelector("[data-told]");
-  const sliders = {}, switches = ["field", "ghosts"];
+  const sliders = {}, switches = ["field", "ghosts", "colour"];
   for (const s of facts.sliders) sliders[s.id] = s;
   const LEAST_ETA = 0.01, REST = 160; // milliseconds without a change after which the picture is drawn finely
   const FINE = 12; // rays a pixel of it
@@ -12,7 +12,7 @@
   let state = {}, made = null;
 
   function started() {
-    const out = { field: facts.field ? 1 : 0, ghosts: 1 };
+    const out = { field: facts.field ? 1 : 0, ghosts: 1, colour: 0 };
     for (const s of facts.sliders) out[s.id] = s.start;
     return out;
   }
@@ -28,7 +28,7 @@
     return {
       eta: [flat.eta_x, flat.eta_y], delta: [flat.delta_x, flat.delta_y], euler: [flat.phi, flat.theta, flat.psi],
       pitch: flat.pitch, separation: flat.separation, object: flat.object, eye: flat.eye, azimuth: flat.azimuth,
-      elevation: flat.elevation, fov: flat.fov, field: flat.field, ghosts: flat.ghosts,
+      elevation: flat.elevation, fov: flat.fov, field: flat.field, ghosts: flat.ghosts, colour: flat.colour,
     };
   }
   function set(changes) {
@@ -118,6 +118,8 @@
     for (const id of switches) page.querySelector("[name=" + id + "]").checked = Boolean(state[id]);
     const why = closedForms.noFieldLens(made), box = page.querySelector("[name=field]");
     box.disabled = why !== "";
+    page.querySelector("[name=colour]").disabled = !facts.colours;
+    page.querySelector("[data-no-colour]").textContent = facts.colours ? "" : " (the index is not known at the wavelengths of red, green and blue)";
     page.querySelector("[data-why]").textContent = why === "" ? "" : " (" + why + ")";
     const wrong = closedForms.unbuildable(made);
     verdictLine.textContent = (wrong ? "Cannot be made: " + wrong + ". " : "") + sentence(closedForms.verdict(made));
@@ -134,13 +136,13 @@
   const precise = gl && gl.getShaderPrecisionFormat(gl.FRAGMENT_SHADER, gl.HIGH_FLOAT).precision >= 23;
   const NAMES = ["size", "eye", "ahead", "right", "up", "count", "pitch", "firstCentre", "kept", "solid", "solidCentre", "turn",
     "power1", "power2", "apex2", "wholeSteps", "residual", "drift", "fieldGrow", "span", "margin", "opaque", "baffle", "fieldFocus",
-    "fieldPower", "fieldCentre", "objectAt", "card", "ghosts", "part", "photo", "photoHalf"];
+    "fieldPower", "fieldCentre", "objectAt", "card", "ghosts", "stronger", "part", "photo", "photoHalf"];
   let photoHalf = null; // half sides of the reader's photograph over the card's; null: the card with an F
   const programs = {};
   function program(kind, wide, tall) { // "view", "fine" or "debug" for what the sheet has now, compiled when first used
     const out = outlines(), has = {
       HEX: made.hexagonal, TILTED: state.theta !== 0, FIELD: closedForms.fieldLens(made), AIMED: made.drift !== 0, BAFFLE: facts.baffle !== null,
-      OUTLINE: out.kept[0] > 0, SEAM: facts.seam > 0, BODY: out.solid[0] > 0, BEHIND: looksAway(camera(wide, tall)), DEBUG: kind === "debug", PHOTO: photoHalf !== null,
+      OUTLINE: out.kept[0] > 0, SEAM: facts.seam > 0, BODY: out.solid[0] > 0, BEHIND: looksAway(camera(wide, tall)), COLOUR: Boolean(facts.colours && state.colour), DEBUG: kind === "debug", PHOTO: photoHalf !== null,
     };
     const head = Object.keys(has).filter(function (name) { return has[name]; }).map(function (name) { return "#define " + name + "\n"; }).join("")
       + "#define SAMPLES " + (kind === "fine" ? FINE : 1) + "\n";
@@ -209,7 +211,7 @@
       margin: facts.seam / 2 / p, opaque: facts.opaque ? 1 : 0, baffle: (facts.baffle || 0) / 2 / p,
       fieldFocus: f1, fieldPower: [0, 1].map(function (k) { return (made.power1[k] + made.power2[k]) * p; }),
       fieldCentre: q[0].concat(q[1]), objectAt: (made.offset[2] + state.object) / p, card: facts.card / p,
-      ghosts: state.ghosts, part: part, photo: 1, photoHalf: photoHalf || [1, 1],
+      ghosts: state.ghosts, stronger: facts.colours || [1, 1, 1], part: part, photo: 1, photoHalf: photoHalf || [1, 1],
     };
   }
   function render(kind, wide, tall, part) {

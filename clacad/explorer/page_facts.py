@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 
 from clacad.design import Design
-from clacad.design.sections import AimedAt
+from clacad.design.sections import SPECTRA, AimedAt
+from clacad.light.compare import paraxial
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH, SEPARATIONS, VIEWING_DISTANCE
+from clacad.sheet.like_cell import in_light
 from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.plate import Plate
 from clacad.sheet.vignetting import aperture_slopes, half_field, thin_cells
@@ -273,6 +275,7 @@ def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str
         "axes": design.law_spec.euler_axes,
         "field": bool(window.thin.field),
         "index": window.bodies[0].index,
+        "colours": colours(window),
         "unitM": window.unit,
         "wavelength": window.wavelength or DEFAULT_WAVELENGTH,
         "card": CARD * min(sheet_width(window)),
@@ -280,6 +283,25 @@ def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str
         "presets": [[name, dict(changes)] for name, changes in PRESETS],
         "toml": lines(design),
     }
+
+
+def colours(window: Window) -> list[float] | None:
+    """Power of the equivalent pair's lenses in red, green and blue over that at the design's wavelength.
+
+    None where the index is not known in the lines "rgb", for a field lens, and for lenses without power.
+    Lenses that are stronger by ε, s apart in air, leave C = ε s/(f1 f2): ε follows from C of the real faces.
+    """
+    lines, thin = tuple(SPECTRA["rgb"]), window.thin
+    known = all(body.material and all(map(body.material.knows, lines)) for body in window.bodies)
+    power = [thin.separation / (f1 * f2) for f1, f2 in zip(*thin.focal_length, strict=True)]
+    axes = [axis for axis in (0, 1) if power[axis] != 0.0]
+    if not (known and axes) or thin.field or window.wavelength is None:
+        return None
+    base, found = paraxial(window), []
+    for line in lines:
+        other = paraxial(in_light(window, line))
+        found.append(1.0 + float(np.mean([(other[k] - base[k])[1, 0] / power[k] for k in axes])))
+    return found
 
 
 def _built(window: Window) -> float:
@@ -337,8 +359,8 @@ NO_DIFFERENCE = 1e-12
 def not_shown(design: Design, window: Window) -> tuple[str, ...]:
     """What of a design the page leaves out, one phrase each."""
     found = [
-        "aberration, reflections, diffraction, colour and the walls between cells: its lenses are thin and"
-        " ideal"
+        f"aberration, reflections, diffraction{'' if colours(window) else ', colour'} and the walls between"
+        " cells: its lenses are thin and ideal"
     ]
     if window.form != "biconvex":
         glass = "slab" if window.form == "slab" else "plates" if window.form == "plates" else "plano lenses"

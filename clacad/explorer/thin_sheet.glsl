@@ -27,6 +27,7 @@ const vec2 fieldGrow = vec2(1.0);
 #endif
 uniform vec4 span;                        // low, high of array 1's patches; of array 2's
 uniform float margin, opaque, baffle;     // half a seam; land stops light; half a wall
+uniform vec3 stronger;                    // power of the lenses in red, green and blue, over the design's wavelength
 uniform vec2 fieldFocus, fieldPower;      // depth and power of the field lens along lens x and y
 uniform vec4 fieldCentre;                 // middle of its cells at these depths
 uniform float objectAt, card;             // depth behind lens 1 and size of what is looked at
@@ -39,6 +40,8 @@ const float NOWHERE = -32768.0; // a cell that is none
 #if defined(SEAM) || defined(BODY) || defined(TILTED)
 #define LANDED
 #endif
+
+float strength = 1.0; // power of the lenses for the light that is traced
 
 struct Ray { vec2 cell; vec2 local; float z; vec3 d; };
 struct Met { float lens, land, gap, kept; };
@@ -214,7 +217,7 @@ void fieldFace(inout Ray r, bool x) {
 #endif
   relocate(cell, at, grow);
   vec2 axis = x ? turn[0].xy : turn[1].xy;
-  float power = (x ? fieldPower.x : fieldPower.y) * contains(r.cell + cell); // none outside the sheet
+  float power = (x ? fieldPower.x : fieldPower.y) * contains(r.cell + cell) * strength; // none outside the sheet
   r.d.xy -= axis * dot(axis, at) * power;
 }
 #endif
@@ -248,7 +251,7 @@ Passed through(vec3 d) {
   float entered = max(one.lens, one.land), stopped = 0.0;
   vec2 named = mix(vec2(NOWHERE), r.cell, one.kept);
   Ray left = r;
-  vec3 out1 = mix(r.d, bend(r, vec2(0.0), power1), one.lens);
+  vec3 out1 = mix(r.d, bend(r, vec2(0.0), power1 * strength), one.lens);
 #ifdef LANDED
   stopped = one.land * (1.0 - one.gap) * opaque;
 #endif
@@ -293,7 +296,7 @@ Passed through(vec3 d) {
   fate = mix(fate, VIGNETTED, dark);
   left2 -= dark;
 #endif
-  vec3 out2 = bend(r, apex2.xy - drift * middle(r.cell), power2);
+  vec3 out2 = bend(r, apex2.xy - drift * middle(r.cell), power2 * strength);
 #ifdef TILTED
   out2 = mix(r.d, out2, two.lens);
   float falls = max(step(out2.z, 0.0), step(dot(r.d, turn[2]), 0.0)) * left2;
@@ -324,6 +327,9 @@ vec2 slope(float t) { return halves(floor((clamp(t, -1.0, 1.0) + 1.0) * 32767.5 
 vec2 index(float k) { return halves(clamp(k + 32768.0, 0.0, 65535.0)); }
 void main() {
   vec2 uv = 2.0 * gl_FragCoord.xy / size - 1.0;
+#ifdef COLOUR
+  strength = stronger.b; // of blue light
+#endif
   Passed p = through(ahead + uv.x * right + uv.y * up);
   gl_FragColor = part < 0.5 ? vec4(slope(p.d.x), index(p.last.x))
     : part < 1.5 ? vec4(slope(p.d.y), index(p.last.y))
@@ -374,7 +380,19 @@ void main() {
   for (int n = 0; n < SAMPLES; n++) {
     vec2 jitter = SAMPLES == 1 ? vec2(0.0) : fract(at + float(n) * vec2(0.7548776662, 0.5698402910)) - 0.5; // Roberts's R2
     vec2 uv = 2.0 * (gl_FragCoord.xy + jitter) / size - 1.0;
-    sum += seen(ahead + uv.x * right + uv.y * up);
+    vec3 d = ahead + uv.x * right + uv.y * up;
+#ifdef COLOUR
+    vec3 c;
+    strength = stronger.r;
+    c.r = seen(d).r;
+    strength = stronger.g;
+    c.g = seen(d).g;
+    strength = stronger.b;
+    c.b = seen(d).b;
+    sum += c;
+#else
+    sum += seen(d);
+#endif
   }
   gl_FragColor = vec4(sum / float(SAMPLES), 1.0);
 }

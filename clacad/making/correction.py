@@ -21,8 +21,9 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from clacad.base.text import percent_text, printable
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
+from clacad.formats.maps.dose import Calibration, read_calibration
 from clacad.making.process import process_of
 from clacad.measuring.find_lattice import Found
 from clacad.measuring.fit_lenslets import Aperture, fit_heights, legendre, pooled_form, shrunk
@@ -129,12 +130,32 @@ class Correction:
             "notes": list(self.notes),
         }
 
-    def write(self, folder: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
+    def dose(self, calibration: str | os.PathLike[str] | None = None) -> Ints:
+        """Levels (128, 128) of the command for greyscale exposure, 0 to 255; 0 outside the cell.
+
+        calibration : Table by `clacad calibrate`; None: levels in proportion to depth.
+        Raises BadRequest: A depth lies outside the table.
+        """
+        depth = (np.nanmax(self.heights) - self.heights) * self.design.unit_m
+        held = np.isfinite(depth)
+        deepest = float(depth[held].max())
+        table = Calibration.straight(deepest) if calibration is None else read_calibration(Path(calibration))
+        levels, _ = table.level_of(np.where(held, depth, table.depths[0]))
+        return np.where(held, levels, 0)
+
+    def write(
+        self,
+        folder: str | os.PathLike[str],
+        *,
+        overwrite: bool = False,
+        calibration: str | os.PathLike[str] | None = None,
+    ) -> list[Path]:
         """Write the command as a height map (NPY, JSON) and the state of the loop; return their paths.
 
-        Files of an earlier round of the same side are replaced.
+        For greyscale also the levels of its dose, a PNG whose first row has the largest y. Files of an
+        earlier round of the same side are replaced.
 
-        Raises CannotWrite, ExportRefused.
+        Raises CannotWrite, ExportRefused; BadRequest, UnreadableFile: As `dose`.
         """
         state, command = _names(self.side)
         data = io.BytesIO()
@@ -147,6 +168,12 @@ class Correction:
             f"{command}.json": json.dumps(scales, indent=1, sort_keys=True) + "\n",
             state: canonical_json(self.to_dict()),
         }
+        if self.design.check.process == "greyscale" or calibration is not None:
+            from PIL import Image
+
+            picture = io.BytesIO()
+            Image.fromarray(self.dose(calibration)[::-1].astype(np.uint8)).save(picture, "PNG")
+            contents[f"dose-{self.side}.png"] = picture.getvalue()
         write_set(folder, contents, overwrite=overwrite, replace=lambda path: _ours(path.parent / state))
         return [Path(folder) / name for name in contents]
 

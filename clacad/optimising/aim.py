@@ -29,7 +29,7 @@ from clacad.design import Design
 from clacad.design.sections import CHECK
 from clacad.light.measure import mean_rms, measure
 from clacad.optics.fit import AskedLight, law_residuals
-from clacad.optics.rays import Fate, Rays
+from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.sequence import trace_sequence
 from clacad.optimising.unknowns import refused
 from clacad.sheet.bundle import RequestedLaw, bundle, cone, launched, middle_direction
@@ -42,7 +42,7 @@ from clacad.verification.tolerance import Parameter, parameters, telescopelet
 from clacad.verification.tolerance.misaligned import SIGMAS
 
 if TYPE_CHECKING:
-    pass
+    from clacad.steering.scan import Scan
 
 RAYS = 1024
 """Number of rays of a search, for each field."""
@@ -80,12 +80,15 @@ class Aim:
         Whether the objective is that of parts as made, with the [tolerances] of the design.
     spectrum : tuple of (wavelength in metres, weight)
         Lines whose mean rms error is the objective; empty: the wavelength of the design.
+    scan : Scan or None
+        Positions of moving plates; their spread is then the objective.
     """
 
     field: float
     weights: Weights = WHOLE
     tolerances: bool = False
     spectrum: Weights = ()
+    scan: Scan | None = None
 
     def __post_init__(self) -> None:
         for part, weight in self.weights:
@@ -324,7 +327,7 @@ class ShareOfLight:
 def _shares(window: Window, cones: Sequence[Rays]) -> Floats:
     """Share (c,) of the rays of each cone that land in the cell of lens 2."""
     rays = Rays(np.concatenate([c.position for c in cones]), np.concatenate([c.direction for c in cones]))
-    inside = np.clip(0.5 - _way_out(window, rays) / BORDER, 0.0, 1.0)
+    inside = np.clip(0.5 - _outside(window, rays) / BORDER, 0.0, 1.0)
     return np.asarray(inside.reshape(len(cones), -1).mean(axis=1))
 
 
@@ -360,21 +363,28 @@ class LightInCells:
 
 def _beyond(window: Window, rays: Rays, inside: float = 1.0) -> float:
     """Mean distance (half widths of a cell) of rays outside a part of the cells."""
-    return float(np.clip(_way_out(window, rays, inside), 0.0, LOST).mean())
+    return float(np.clip(_outside(window, rays, inside), 0.0, LOST).mean())
 
 
-def _way_out(window: Window, rays: Rays, inside: float = 1.0) -> Floats:
+def _outside(window: Window, rays: Rays, inside: float = 1.0) -> Floats:
+    """Distance (n,) of rays from the border of their cells, as `way_out`."""
+    return way_out(window, trace_sequence(interfaces(window), rays, record=True), inside)
+
+
+def way_out(window: Window, seen: TraceResult, inside: float = 1.0) -> Floats:
     """Distance (n,) of rays from the border of lens 2's cell, half widths; inside < 0, `LOST` if lost.
 
-    Of listed faces it is the largest of all faces. inside : Part of the cell at whose border it is 0.
+    Of listed faces it is the largest of all faces.
+
+    seen : Recorded trace through the faces of the window.
+    inside : Part of the cell at whose border it is 0.
     """
-    seen = trace_sequence(interfaces(window), rays, record=True)
     assert seen.hits is not None  # recorded
     faces = [one.face for one in refractions(window.bodies)]
     judged = [number for number, face in enumerate(faces) if face.array is not None]
     if window.form != "plates":
         judged = [max(number for number in judged if faces[number].array == 1)]
-    out = np.full(len(rays), -LOST)
+    out = np.full(len(seen.fate), -LOST)
     for number in judged:
         local = seen.hits[number][:, :2] - np.asarray(window.shifts[faces[number].array or 0])
         for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):

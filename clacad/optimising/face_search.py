@@ -10,7 +10,7 @@ the wall.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import cos, degrees, inf, isfinite, pi
 from time import monotonic
@@ -27,8 +27,16 @@ from clacad.design.sections import PAIR
 from clacad.optics.fit import minimise
 from clacad.optics.surface import Surface
 from clacad.optimising.aim import RAYS, Aim, AimedRays, LightInCells, ShareOfLight, fields_of
-from clacad.optimising.listed_unknowns import ListedUnknowns, with_listed
-from clacad.optimising.unknowns import Unknowns, given_design, refused, trial_design, with_faces
+from clacad.optimising.scan_light import SCAN_MARGIN, ScanLight
+from clacad.optimising.unknowns import (
+    ListedUnknowns,
+    Unknowns,
+    given_design,
+    refused,
+    trial_design,
+    with_faces,
+    with_listed,
+)
 from clacad.prescription.bodies import given_conics
 from clacad.sheet.feasibility.convex_extremes import outline
 from clacad.sheet.moved_plates import paraxial_exit
@@ -50,6 +58,10 @@ MARGIN = 0.005
 
 STIFFNESS = 0.01
 """Residual (radians) of a wall that is violated by its whole limit."""
+
+SOFT = 0.01
+"""Part of the stiffness in the first stage of a search over listed faces: with hard walls from the start on
+it ends in a worse minimum."""
 
 LOST = -1.0
 
@@ -129,6 +141,7 @@ class Walls:
             found["light in its cells"] = self.light.slack(window)
         if self.path:
             found["B of the faces"] = 1.0 - abs(_b_of(window) / self.path - 1.0) / KEPT_PATH
+        if isfinite(self.gaps):
             for number, gap in enumerate(_gaps(window, self.x, self.y), start=1):
                 found[f"air behind plate {number}"] = gap / self.gaps - 1.0 if isfinite(gap) else LOST
         return found
@@ -151,9 +164,9 @@ class Walls:
         return found
 
 
-def penalties(slack: dict[str, float]) -> Floats:
+def penalties(slack: Mapping[str, float], margin: float = MARGIN) -> Floats:
     """Residuals of the walls, (w,) radians: 0 outside their margins."""
-    return STIFFNESS * np.maximum(0.0, MARGIN - np.array(list(slack.values())))
+    return STIFFNESS * np.maximum(0.0, margin - np.array(list(slack.values())))
 
 
 def _thinnest(body: Body, x: Floats, y: Floats) -> float:
@@ -269,7 +282,13 @@ class FaceSearch:
         self.progress, self.starts = progress, limit.starts
         self.until = inf if limit.seconds is None else monotonic() + limit.seconds
         self.walls = Walls.of(design, window, aim.field)
-        self.target = AimedRays.of(aim, design, window, len(unknowns.free))
+        if aim.scan is not None:  # a scan holds its slope and its share instead
+            self.walls = replace(self.walls, light=None, path=0.0)
+        self.target: AimedRays | ScanLight = (
+            AimedRays.of(aim, design, window, len(unknowns.free))
+            if aim.scan is None
+            else ScanLight.of(aim.scan, window)
+        )
         self.before = self.error_of(window)
         self.evaluations = 0
         self.best: Best | None = None
@@ -278,6 +297,7 @@ class FaceSearch:
         self.kept: tuple[str, ...] = ()
         follows = design.pair.offset == "traced" or any(face.land is not None for face in window.faces)
         self.quick = unknowns.still and not follows
+        self.stiff = 1.0
 
     @property
     def left_out(self) -> tuple[str, ...]:
@@ -322,7 +342,11 @@ class FaceSearch:
         """Search terms of fourth order before conic constants: being alike, both together diverge."""
         kinds = np.array([one.kind for one in self.unknowns.free])
         now = ~np.isin(kinds, HIGHER)
-        if "K" in kinds and "a4" in kinds:
+        if self.walls.path:  # listed faces
+            self.stiff = SOFT
+            here = self._among(here, now)
+            self.stiff = 1.0
+        elif "K" in kinds and "a4" in kinds:
             here = self._among(here, now & (kinds != "K"))
         return self._among(here, now)
 
@@ -356,8 +380,11 @@ class FaceSearch:
         trial = self._trial(vector)
         light = self.target.residuals(trial)
         slack = self.walls.slack(trial)
-        self._note(vector, float(np.linalg.norm(light)), slack)
-        return np.concatenate([light, penalties(slack), TIE * self.unknowns.conics(vector)])
+        scan = self.target.slack(trial) if isinstance(self.target, ScanLight) else {}
+        self._note(vector, float(np.linalg.norm(light)), slack | scan)
+        ties = TIE * self.unknowns.conics(vector)
+        walls = np.concatenate([penalties(slack), penalties(scan, SCAN_MARGIN)])
+        return np.concatenate([light, self.stiff * walls, ties])
 
     def best_design(self, free: tuple[str, ...]) -> Design:
         """Best result within the walls as a design that records its origin, checked as a design file is."""
@@ -395,6 +422,7 @@ class FaceSearch:
             RAYS,
             tuple((float(at), 1e3 * rms) for at, rms in self.best.history),
             tuple((float(f"{1e9 * line:.12g}"), weight) for line, weight in self.aim.spectrum),
+            None if self.aim.scan is None else self.aim.scan.words(self.design.unit),
         )
         return given_design(self.design, self.window, faces, offset, record)
 

@@ -15,19 +15,20 @@ from typing import Any
 import numpy as np
 
 from clacad.base.text import mrad_text, percent_text
-from clacad.base.types import Floats
+from clacad.base.types import Floats, silent
 from clacad.config.edit_text import to_toml
 from clacad.design import Design
 from clacad.design.faces import face_table
 from clacad.design.sections import LIGHT, PAIR
 from clacad.optimising.aim import MOST_LOST, RAYS, WHOLE, Aim, AimedRays, Seen, Weights, fields_of, measured
 from clacad.optimising.face_search import Effort, FaceSearch, Progress
-from clacad.optimising.listed_unknowns import ListedUnknowns, listed_unknowns
-from clacad.optimising.unknowns import Unknowns, chosen, refused
+from clacad.optimising.scan_light import SCAN_POSITIONS, ScanLight
+from clacad.optimising.unknowns import ListedUnknowns, Unknowns, chosen, listed_unknowns, refused
 from clacad.prescription.face_list import as_listed
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.need_window import equal_cells
 from clacad.sheet.window import Window
+from clacad.steering.scan import Position, Scan, Steered, steer
 
 SAME = 1e-12
 """Tolerance of positions as a share of the separation: rounding error of the recipes."""
@@ -110,6 +111,8 @@ class Optimised:
         times.
     spectrum : str
         Word of the request; "" for the design's wavelength.
+    scans : (Steered, Steered) or None
+        Light of the start and of the end at every position of the requested scan.
     stopped : str
         "": finished; "interrupted" or "seconds": `design` is the best so far.
     """
@@ -127,6 +130,7 @@ class Optimised:
     history: tuple[tuple[int, float], ...]
     stopped: str
     spectrum: str = ""
+    scans: tuple[Steered, Steered] | None = None
 
     @property
     def finished(self) -> bool:
@@ -159,6 +163,7 @@ class Optimised:
             "after": [vars(seen) for seen in self.after],
             "expected": None if self.expected is None else list(self.expected),
             "history": [list(one) for one in self.history],
+            **({} if self.scans is None else {"scan": [one.to_dict() for one in self.scans]}),
             "faces": [face_table(face) for face in self.design.pair.face],
         }
 
@@ -166,7 +171,7 @@ class Optimised:
 def optimise(
     design: Design,
     free: tuple[str, ...] = ("radii", "conic"),
-    field: float | None = None,
+    field: float | Scan | None = None,
     progress: Progress | None = None,
     *,
     weights: Weights = WHOLE,
@@ -185,8 +190,10 @@ def optimise(
         2; fixed otherwise). Terms of sixth and eighth order are kept only if they reduce the error by more
         than a tenth. Listed faces: "radii", "conic", "a4", "a6", "a8", "thickness" (all distances, with B of
         the faces kept) and "joints" (their radii and places).
-    field : float or None, radians
-        Half angle of the cone of rays; None: the design's `check.field`.
+    field : float or None, radians; or Scan
+        Half angle of the cone of rays; None: the design's `check.field`. Or positions of moving plates, of
+        listed faces: minimise the spread of light along the normal at all of them, with the exit beam, the
+        slope at the end of the travel and the share held.
     progress : callable or None
         Called with the number of designs tried and the rms error (radians) of each better one; None: a bar
         at a prompt and in a notebook.
@@ -228,15 +235,54 @@ def optimise(
     design = as_listed(design)
     window = equal_cells(prescribe(design), "a search for better faces", ALIKE)
     unknowns = _chosen(design, window, tuple(free))
-    cone = design.check.field if field is None else field
-    aim = Aim(cone, tuple(weights), tolerances, lines_of_search(design, spectrum))
+    scan = field if isinstance(field, Scan) else None
+    cone = field if isinstance(field, float) else design.check.field
+    aim = _aim(design, window, Aim(cone, tuple(weights), tolerances, lines_of_search(design, spectrum), scan))
     effort = seconds if isinstance(seconds, Effort) else Effort(seconds)
     search = FaceSearch(design, window, unknowns, aim, progress or _shown(), effort)
     before = _compared(design, window, aim)
     stopped = search.run()
     if stopped == "interrupted" and not search.gained:
         raise KeyboardInterrupt
-    return replace(_checked(search, tuple(free), before, stopped), spectrum=spectrum or "")
+    found = replace(_checked(search, tuple(free), before, stopped), spectrum=spectrum or "")
+    return (
+        found
+        if scan is None
+        else replace(found, scans=(_scanned(design, scan), _scanned(found.design, scan)))
+    )
+
+
+def _aim(design: Design, window: Window, aim: Aim) -> Aim:
+    """The objective, refused where a scan goes with what it does not have.
+
+    Raises DesignError.
+    """
+    if aim.scan is None:
+        return aim
+    if window.form != "plates":
+        raise refused(
+            "CL114",
+            f"a scan moves listed plates, and this form is {window.form}",
+            PAIR.form,
+            found=window.form,
+            allowed='pair.form = "plates"',
+            hint="clacad new NAME --template scanner-f5",
+        )
+    if aim.spectrum or aim.tolerances or aim.weights != WHOLE:
+        raise refused(
+            "CL112",
+            "a scan is searched at one wavelength, as designed, with light along the normal",
+            "scan",
+            allowed="without weights, tolerances and spectrum",
+        )
+    return aim
+
+
+def _scanned(design: Design, scan: Scan) -> Steered:
+    """Light of a design at every position of a scan."""
+    return steer(
+        design, scan.travel, scan.axis, scan.move, positions=scan.positions, waves=False, progress=silent
+    )
 
 
 def _chosen(design: Design, window: Window, free: tuple[str, ...]) -> Unknowns | ListedUnknowns:
@@ -303,6 +349,7 @@ def outlook(
     *,
     tolerances: bool = False,
     spectrum: str | None = None,
+    scan: Scan | None = None,
 ) -> dict[str, float]:
     """Forecast of a search: unknowns, evaluations and processor seconds of one core of the reference machine.
 
@@ -313,15 +360,20 @@ def outlook(
     """
     design = as_listed(design)
     window = equal_cells(prescribe(design), "a search for better faces", ALIKE)
-    aim = Aim(design.check.field, tuple(weights), tolerances, lines_of_search(design, spectrum))
+    lines = lines_of_search(design, spectrum)
+    aim = _aim(design, window, Aim(design.check.field, tuple(weights), tolerances, lines, scan))
     unknowns = _chosen(design, window, tuple(free))
     k = len(unknowns.free)
     evaluations = 10.0 + 0.8 * k * k  # measured: 16, 37, 34 and 379 of 4, 8, 10 and 20 unknowns
     each = (0.005 if unknowns.still else 0.02) * (1.5 if "a4" in free else 1.0) * len(weights)
     if window.form == "plates":
         evaluations, each = 10.0 + 9.0 * k * k, 0.03 * len(weights)  # measured: 293, 1372 of 6, 12 unknowns
-    each *= max(1, len(aim.spectrum))
-    each += 0.008 * len(AimedRays.of(aim, design, window, k).errors)
+    if scan is not None:
+        ScanLight.of(scan, window)  # refuses plates that cannot move
+        evaluations, each = 100.0 + 2.5 * k * k, 0.01 * SCAN_POSITIONS  # measured: 744 of 17 unknowns
+    else:
+        each *= max(1, len(aim.spectrum))
+        each += 0.008 * len(AimedRays.of(aim, design, window, k).errors)
     return {"unknowns": k, "evaluations": evaluations, "seconds": 0.6 + each * evaluations}
 
 
@@ -387,12 +439,20 @@ def asked(found: Optimised) -> str:
     if found.aim.weights != WHOLE:
         text += f" --weights {','.join(f'{part:g}:{weight:g}' for part, weight in found.aim.weights)}"
     text += f" --spectrum {found.spectrum}" if found.spectrum else ""
+    text += "" if found.aim.scan is None else f" --scan {found.aim.scan.words(found.design.unit)}"
     return text + (" --tolerances" if found.aim.tolerances else "")
 
 
 def left_out(found: Optimised) -> str:
     """A sentence on the orders that gave too little gain."""
     return f"Left out, for the error would be less by under a tenth with it: {', '.join(found.left_out)}."
+
+
+def _steered(one: Position) -> str:
+    """Spread, share and exit beam of a position."""
+    share = percent_text(one.share, 1, fixed=True)
+    beam = ", ".join(f"{width:.3f}" for width in one.exit_beams)
+    return f"{mrad_text(one.spread)}, {share}, beam {beam}"
 
 
 def expected(found: Optimised) -> str:
@@ -403,7 +463,10 @@ def expected(found: Optimised) -> str:
 
 
 def gains(found: Optimised) -> list[str]:
-    """One line per field: error and share before and after."""
+    """One line per field, or per position of a scan: error and share before and after."""
+    if found.scans is not None:
+        pairs = zip(*(one.positions for one in found.scans), strict=True)
+        return [f"{one.travel:8.4g}: {_steered(one)}  ->  {_steered(two)}" for one, two in pairs]
     return [
         f"{degrees(one.field):6.4g} deg: {mrad_text(one.law_rms)},"
         f" {percent_text(one.throughput, 1, fixed=True)}"

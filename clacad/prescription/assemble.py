@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
+from clacad.config.mistakes import DesignError, Mistake
 from clacad.design.faces import faces_digest
-from clacad.design.sections import AimedAt
+from clacad.design.sections import LATTICE, AimedAt
 from clacad.prescription.bodies import FieldCells, displacement
 from clacad.prescription.field_lens import thin_field
 from clacad.prescription.intent import Intent, separation_of
 from clacad.prescription.plates import inside_both, with_land, with_plate
 from clacad.prescription.radii import LensPair, thin_pair
 from clacad.sheet.cell_places import CellPlacement
+from clacad.sheet.face_order import refractions
 from clacad.sheet.window import Baffle, Body, Land, ThinPair, Window, side_outline
 
 if TYPE_CHECKING:
@@ -60,7 +62,35 @@ def assemble_window(
 
         window = with_own_cells(window, design, field)
     window = inside_both(replace(window, outline=side_outline(window)))
-    return with_land(with_plate(window, design.body), design.lattice.seam_depth)
+    return with_line(with_land(with_plate(window, design.body), design.lattice.seam_depth), design)
+
+
+def with_line(window: Window, design: Design) -> Window:
+    """The window with the opaque line of its design, if it has one.
+
+    Raises DesignError: The face is none of a uniform sheet's lens faces between air and a material.
+    """
+    line = design.lattice.line
+    if line is None:
+        return window
+    printable = {}
+    for number, (body, face, before, after) in enumerate(refractions(window.bodies), start=1):
+        if face.array is not None and 1.0 in (before, after):
+            printable[number] = 2 * window.bodies.index(body) + (face is body.back)
+    if not window.uniform or line.face not in printable:
+        raise DesignError(
+            [
+                Mistake(
+                    "CL114",
+                    f"no line can be printed on face {line.face} of this sheet",
+                    LATTICE.line,
+                    found=str(line.face),
+                    allowed="of identical cells a face with lenses next to air: "
+                    + ", ".join(map(str, printable)),
+                )
+            ]
+        )
+    return replace(window, land=replace(window.land, line=line.width, lined=printable[line.face]))
 
 
 def _thin_pair(intent: Intent, with_field: bool) -> ThinPair:

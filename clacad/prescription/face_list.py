@@ -11,7 +11,7 @@ thicknesses T_i and indices n_i of the layers,
 
 The first keeps the pair afocal at the design wavelength, f1 = s/(1 − η), f2 = −η f1 and R = (n − 1) f. The
 second keeps it afocal in both lines. It holds at every η, for both meridians have the same sum. Conic
-constants are −1/n² at η = −1, where they make each face perfect on its axis; else those of the least law error.
+constants are −1/n² at η = −1, where they make each face perfect on its axis; else those of least law error.
 """
 
 from __future__ import annotations

@@ -203,7 +203,7 @@ def _checks(content: Content) -> list[Block]:
         ]
         blocks += [
             _heading(title, 2),
-            _table(("", "check", "value", "limit", "unit", "what it says"), lines, (2, 3)),
+            _table(("", "check", "value", "limit", "unit", "result"), lines, (2, 3)),
         ]
     return blocks + (
         [{"kind": "text", "text": f"{content.checked.process}."}] if content.checked.process else []
@@ -281,6 +281,18 @@ def _errors(content: Content, shelf: _Shelf) -> list[Block]:
         *blocks,
         _heading("Budget", 2),
         _table(("contribution", "mrad", "measured as"), content.light.budget, (1,)),
+        *_daylight(content),
+    ]
+
+
+def _daylight(content: Content) -> list[Block]:
+    """White light line by line, and temperature, where the design has either."""
+    if not content.light.daylight:
+        return []
+    return [
+        _heading("Daylight and temperature", 2),
+        _table(content.light.daylight_head, content.light.daylight, (1, 2, 3, 4, 5)),
+        {"kind": "text", "text": content.light.daylight_sentence},
     ]
 
 
@@ -294,7 +306,7 @@ def _waves(content: Content, shelf: _Shelf) -> list[Block]:
     return [
         _heading("Waves", 2),
         _figure(shelf, "waves", drawn, "Far field of one telescopelet as waves and as rays."),
-        _table(HEAD, content.light.waves, (1, 2, 3, 4, 5, 6)),
+        _table(HEAD, content.light.waves, (1, 2, 3, 4, 5, 6), 0),
         {"kind": "text", "text": content.light.waves_sentence},
     ]
 

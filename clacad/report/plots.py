@@ -7,6 +7,7 @@ point.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -203,12 +204,13 @@ def viewed(report: Report, window: Window) -> str:
             right.plot(x, y, ".", ms=1.5, color=colour, label=label, rasterized=True)
         right.set_title("traced rays", fontsize=8.5)
         right.set_aspect("equal")
-        right.legend(loc="upper right", markerscale=5)
+        right.legend(loc="upper right", markerscale=5, frameon=True, framealpha=0.9, edgecolor="none")
         left.set_ylabel("y on the sheet (mm)")
         for panel in (left, right):
             panel.set_xlabel("x on the sheet (mm)")
             panel.grid(False)
-        figure.colorbar(image, ax=left, label="share of the light", shrink=0.9, fraction=0.04, pad=0.02)
+        both = [left, right]
+        figure.colorbar(image, ax=both, label="share of the light", shrink=0.9, fraction=0.025, pad=0.02)
 
     return svg(7.6, 3.6, "share of the light of an eye that obeys the law, over the sheet", draw)
 
@@ -267,13 +269,12 @@ def accuracy(report: Report, evidence: Evidence, timings: bool) -> str:
             panel.loglog([time], [1e3 * row.model_rms], marker, color=colour, ms=size, mfc=fill)
             words = row.rung if row.quads is None else f"{row.quads}"
             labels.append((words, (time, 1e3 * row.model_rms)))
-        limit, over = 1e3 * report.design.check.law_rms, {"ha": "right", "fontsize": 8, "color": BAD}
+        limit = 1e3 * report.design.check.law_rms
         panel.axhline(limit, color=BAD, lw=0.9, ls="--")
-        place = {"xycoords": ("axes fraction", "data"), "xytext": (0, 3), "textcoords": "offset points"}
-        panel.annotate("limit of law_rms", (0.99, limit), **place, **over)
         panel.set_xlabel("microseconds a ray, " + ("measured in this run" if timings else "forecast"))
         panel.set_ylabel("rms direction error to the exact trace (mrad)")
         panel.margins(0.14, 0.12)
+        _name_limit(panel, limit, [point for _, point in labels])
         label_points(panel, labels)
         from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
@@ -283,6 +284,19 @@ def accuracy(report: Report, evidence: Evidence, timings: bool) -> str:
 
     return svg(7.6, 3.6, "accuracy against time over the rungs", draw)
 
+
+def _name_limit(panel: Any, limit: float, points: Sequence[tuple[float, float]]) -> None:
+    """Write the name of the limit over its line, where the points near the line leave most room."""
+    low, high = np.log(panel.get_xlim())
+    near = [(np.log(x) - low) / (high - low) for x, y in points if abs(np.log10(y / limit)) < NEAR]
+    room = {at: min((abs(one - at) for one in near), default=1.0) for at in (0.91, 0.5, 0.09)}
+    place = {"xycoords": ("axes fraction", "data"), "xytext": (0, 3), "textcoords": "offset points"}
+    at = max(room, key=lambda one: room[one])
+    panel.annotate("limit of law_rms", (at, limit), **place, ha="center", fontsize=8, color=BAD)
+
+
+NEAR = 1.5
+"""Decades of error within which a point is near the line of the limit."""
 
 ROUNDING = 1e-6
 """Steps (micrometres) that are none."""

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.polygons import polygon_area
-from clacad.base.text import digits, mrad_text, percent_text, plainly
+from clacad.base.text import digits, mrad_text, nm_text, percent_text, plainly
 from clacad.base.units import MONOMIALS, POWER, RAISED, millimetres
 from clacad.checks.design_kinds import RADIUS
-from clacad.checks.light_kinds import IMAGE_POINT, SPOT, VIEWED
+from clacad.checks.light_kinds import IMAGE_POINT, LAW_WHITE, SPOT, TEMPERATURE, VIEWED
 from clacad.effects import declared
 from clacad.exporting.drawing.notes import orientation
 from clacad.sheet.face_order import plates_of
@@ -29,6 +29,7 @@ from clacad.sheet.volume_and_extent import body_volume, grams, whole_extent
 from clacad.sheet.window import Body, Window, optical_tile
 
 if TYPE_CHECKING:
+    from clacad.checks.check import Check, CheckKind
     from clacad.sheet.feasibility import BodyFacts, LensFacts
     from clacad.verification import Report
     from clacad.verification.evidence import Evidence
@@ -41,6 +42,10 @@ STATES = {
     "without": "left out, as requested",
     "unknown": "left out, not bounded",
 }
+
+
+DAYLIGHT = ("light", "weight", "to the law (mrad)", "change (mrad)", "closed form (mrad)", "through (%)")
+"""Head of the table of white light and temperature."""
 
 
 def number(value: float | str | None, unit: str = "") -> str:
@@ -154,6 +159,59 @@ class LightRows:
             )
             for r in plan.rows
         ]
+
+    daylight_head = DAYLIGHT
+
+    @property
+    def daylight(self) -> list[tuple[str, ...]]:
+        """Lines of white light, their mean, and both temperatures; numbers in mrad.
+
+        Of each: name, weight, rms angle to the law, change against the design wavelength, its closed form,
+        and share of the light in percent.
+        """
+        white, warm = self._check(LAW_WHITE), self._check(TEMPERATURE)
+        rows: list[tuple[str, ...]] = []
+        if white is not None and white.detail.get("lines"):
+            lines = white.detail["lines"]
+            rows += [
+                (
+                    nm_text(one["wavelength"]),
+                    f"{one['weight']:g}",
+                    *_mrads(one["law_rms"], one["change"], one["closed_form"]),
+                    percent_text(one["share"], 3, unit=""),
+                )
+                for one in lines
+            ]
+            whole = sum(one["weight"] for one in lines)
+            mean = [
+                sum(one["weight"] * one[name] for one in lines) / whole
+                for name in ("law_rms", "change", "closed_form", "share")
+            ]
+            rows.append(("mean", "", *_mrads(*mean[:3]), percent_text(mean[3], 3, unit="")))
+        for one in warm.detail.get("rows", ()) if warm is not None else ():
+            numbers = _mrads(one["law_rms"], one["change"], one["closed_form"])
+            rows.append((f"{one['kelvin']:+g} K", "", *numbers, ""))
+        return rows
+
+    @property
+    def daylight_sentence(self) -> str:
+        """Floor of one material, sources of the indices, and what is not known of the temperature."""
+        white, warm = self._check(LAW_WHITE), self._check(TEMPERATURE)
+        found = []
+        if white is not None and white.detail.get("lines"):
+            floor = white.detail["floor"]
+            found.append(
+                f"no faces of one material leave less than {mrad_text(floor)} in the mean of the lines"
+                if floor == floor
+                else "a sheet of several materials or plates has no floor"
+            )
+            found.append(f"index by {'; '.join(white.detail['sources'].values())}")
+        if warm is not None and not warm.detail.get("rows"):
+            found.append(warm.sentence)
+        return f"{'; '.join(found)}." if found else ""
+
+    def _check(self, kind: CheckKind) -> Check | None:
+        return next((check for check in self.report.checks if check.kind is kind), None)
 
     @property
     def waves(self) -> list[tuple[str, ...]]:

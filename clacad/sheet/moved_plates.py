@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.optics.sequence import Interface
 from clacad.sheet.face_order import plates_of, refractions
+from clacad.sheet.like_cell import interfaces
 
 if TYPE_CHECKING:
     from clacad.sheet.window import Body, Face, Window
@@ -70,6 +72,37 @@ def _raised(face: Face, rise: float) -> Face:
     """The face with its land, `rise` (length) higher."""
     x, y, z = face.vertex
     return replace(face, vertex=(x, y, z + rise), land=None if face.land is None else face.land + rise)
+
+
+def tilted_plate(window: Window, number: int, turn: Floats, aside: Floats) -> list[Interface]:
+    """Faces of one telescopelet with a plate tilted as a whole, the centre of cell 1 at x = y = 0.
+
+    number : Of the plate, from 1. turn : (3,) radians. Vector of the rotation about the plate's own middle.
+    aside : (3,) lengths. Place of the telescopelet in the sheet: the plate rises there by turn × aside.
+    """
+    plate, found = plates_of(window.bodies)[number - 1], []
+    heights = (plate[0].front.vertex[2], plate[-1].back.vertex[2])
+    for (body, face, _, _), one in zip(refractions(window.bodies), interfaces(window), strict=True):
+        if body in plate:
+            array = body.arrays[0] if face.array is None else face.array
+            pivot = np.array([*window.shifts[array], 0.5 * sum(heights)]) - aside
+            rotation = np.eye(3) if one.rotation is None else one.rotation
+            vertex = pivot + about(turn, np.asarray(one.vertex) - pivot)
+            turned = about(turn, rotation.T).T
+            one = Interface(one.surface, vertex, one.index_before, one.index_after, turned)
+        found.append(one)
+    return found
+
+
+def about(turn: Floats, points: Floats) -> Floats:
+    """Points (…, 3) rotated about the origin by the vector `turn` (3,), radians, not 0 (Rodrigues)."""
+    angle = float(np.linalg.norm(turn))
+    axis = turn / angle
+    along = points @ axis
+    across = points - along[..., None] * axis
+    return np.asarray(
+        along[..., None] * axis + np.cos(angle) * across + np.sin(angle) * np.cross(axis, points)
+    )
 
 
 def paraxial_exit(window: Window, height: Floats, slope: Floats) -> tuple[Floats, Floats]:

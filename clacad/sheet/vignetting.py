@@ -102,9 +102,8 @@ def thin_cells(window: Window) -> ThinCells:
 
 def _lit_tile(window: Window) -> Floats:
     """Part of a cell that light may use: the optical zone, reduced to the channel of a baffle."""
-    if window.baffle is None:
-        return optical_tile(window)
-    widest = max(window.land.seam, window.baffle.wall)
+    wall = 0.0 if window.baffle is None else window.baffle.wall
+    widest = max(window.land.seam, window.land.line, wall)
     return optical_tile(replace(window, land=replace(window.land, seam=widest)))
 
 

@@ -298,11 +298,15 @@ class Land:
     seam : Width of the land between two lenslets (length); each cell's lens ends seam/2 from its border.
     opaque : Whether land stops light (fate VIGNETTED) or transmits it (fate LAND).
     border : Width of plain land around the cells (length).
+    line, lined : Width (length) of an opaque line along the borders of all cells, printed on one face, and
+        the number of that face as a surface of a trace, 2 body + side; 0 and -1 without one.
     """
 
     seam: float = 0.0
     opaque: bool = False
     border: float = 0.0
+    line: float = 0.0
+    lined: int = -1
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,6 @@ scan are in `clacad.report.scan_files`. A sheet that turns as a whole does not b
 
 from __future__ import annotations
 
-from clacad.steering.scan import Position, Steered, steer
+from clacad.steering.scan import Position, Scan, Steered, steer
 
-__all__ = ["Position", "Steered", "steer"]
+__all__ = ["Position", "Scan", "Steered", "steer"]

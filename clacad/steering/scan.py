@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,13 +22,16 @@ from clacad.base.types import Floats, Pair2, Progress
 from clacad.base.vectors import xy
 from clacad.optics.law import linear_numbers, with_linear_numbers
 from clacad.optics.rays import Fate, TraceResult
+from clacad.optics.sequence import trace_sequence
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import Bundle, bundle
 from clacad.sheet.face_order import plates_of
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
-from clacad.sheet.moved_plates import CannotMove, moved_plates, paraxial_exit
+from clacad.sheet.like_cell import interfaces
+from clacad.sheet.moved_plates import CannotMove, moved_plates, paraxial_exit, tilted_plate
 from clacad.sheet.need_window import equal_cells
 from clacad.sheet.vignetting import LEAST_SHARE
+from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
 from clacad.storage.errors import LimitRefused
 from clacad.tracing.trace import trace
@@ -51,6 +55,12 @@ POSITIONS = 11
 """Positions of a scan."""
 
 MOST_POSITIONS = 1001
+
+MOST_TILT = 0.1
+"""Largest tilt of a plate, radians."""
+
+WOBBLE_RAYS = 512
+"""Rays over the cell for each tilt of a plate."""
 
 ROOM = 4
 """Cells around the lit one within which light is followed."""
@@ -102,6 +112,9 @@ class Position:
     efficiency, efficiency_on_order : float
         Part of coherent light in that order; the same with the order at the peak of a cell's far field. NaN
         where the pupil method refuses.
+    wobble, wobble_at_rim : float
+        Largest change of the mean exit slopes by the tilt of a plate that moves, in the middle of the sheet
+        and where its sides are farthest from the axis of the tilt; NaN without a tilt.
     """
 
     travel: float
@@ -115,6 +128,8 @@ class Position:
     diffraction_order: tuple[int, int] = (0, 0)
     efficiency: float = np.nan
     efficiency_on_order: float = np.nan
+    wobble: float = np.nan
+    wobble_at_rim: float = np.nan
 
     @property
     def exit_beam_over_pitch(self) -> float:
@@ -137,6 +152,8 @@ class Position:
             **by_axis("diffraction_order", self.diffraction_order),
             "efficiency": self.efficiency,
             "efficiency_on_order": self.efficiency_on_order,
+            "wobble": self.wobble,
+            "wobble_at_rim": self.wobble_at_rim,
         }
 
 
@@ -155,6 +172,8 @@ class Steered(Tabular):
     order_step : (x, y)
         Change of a direction cosine from one diffraction order to the next along either axis.
     positions : tuple of Position
+    tilt : float, radians
+        Tilt of the plates for which the wobble is measured; 0: none.
     """
 
     name: str
@@ -165,6 +184,7 @@ class Steered(Tabular):
     wavelength: float
     order_step: Pair2
     positions: tuple[Position, ...]
+    tilt: float = 0.0
 
     def __repr__(self) -> str:
         first, last = self.positions[0], self.positions[-1]
@@ -213,6 +233,12 @@ class Steered(Tabular):
         return float(np.ptp(across))
 
     @property
+    def wobble(self) -> Pair2:
+        """Largest wobble of all positions, in the middle of the sheet and at its rim; NaN without a tilt."""
+        both = np.array([(one.wobble, one.wobble_at_rim) for one in self.positions])
+        return xy(both.max(axis=0))
+
+    @property
     def _curve(self) -> tuple[Floats, Floats]:
         """Travels (n,) and slopes (n,) along the travel."""
         travel = np.array([one.travel for one in self.positions])
@@ -235,6 +261,11 @@ class Steered(Tabular):
             "odd_terms": self.odd_terms.tolist(),
             "nonlinearity": self.nonlinearity,
             "cross_talk": self.cross_talk,
+            **(
+                {"tilt": self.tilt, "wobble": self.wobble[0], "wobble_at_rim": self.wobble[1]}
+                if self.tilt
+                else {}
+            ),
             "positions": [
                 one.row(self.axis) | {"orders": [light.to_dict() for light in one.orders]}
                 for one in self.positions
@@ -243,9 +274,82 @@ class Steered(Tabular):
         return dict(plain(found))
 
 
+@dataclass(frozen=True)
+class Scan:
+    """Positions of plates that move.
+
+    Parameters
+    ----------
+    travel : float
+        Largest displacement, in the design unit; the scan runs from -travel to +travel.
+    axis : "x", "y", "xy" or "z"
+        Axis of travel; "xy": the travel along both; "z": along the normal, which focuses.
+    move : mapping or None
+        Number of a plate (1, 2, …) to its displacement per travel; None: the last plate by 1.
+    positions : int
+        Number of positions, evenly spaced.
+    tilt : float, radians
+        Tilt of each plate that moves, about x and about y; 0: no wobble is measured.
+
+    Raises
+    ------
+    CannotMove
+        An unknown axis, no travel, too many positions or a tilt outside 0 … 0.1.
+
+    Examples
+    --------
+    >>> import clacad
+    >>> clacad.Scan(0.05, positions=3).travels
+    (-0.05, 0.0, 0.05)
+    """
+
+    travel: float
+    axis: str = "x"
+    move: Mapping[int, float] | None = None
+    positions: int = POSITIONS
+    tilt: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.axis not in AXES:
+            raise CannotMove(f"axis {self.axis!r}: it is one of {', '.join(AXES)}")
+        if not (self.travel > 0.0 and np.isfinite(self.travel)):
+            raise CannotMove(f"travel {self.travel:g}: a length above 0")
+        if not 2 <= self.positions <= MOST_POSITIONS:
+            raise CannotMove(f"positions {self.positions}: 2 to {MOST_POSITIONS}")
+        if not 0.0 <= self.tilt <= MOST_TILT:
+            raise CannotMove(f"tilt {self.tilt:g}: 0 to {MOST_TILT:g} radians")
+
+    @property
+    def travels(self) -> tuple[float, ...]:
+        """Travel of every position."""
+        last = self.positions - 1
+        return tuple(self.travel * (2 * number - last) / last for number in range(self.positions))
+
+    def words(self, unit: str) -> str:
+        """The scan as typed after `clacad optimise --scan`."""
+        plates = ",".join(f"plate{number}={part:g}" for number, part in (self.move or {}).items())
+        text = f'"±{self.travel:g} {unit}" --axis {self.axis}'
+        return text + (f" --move {plates}" if plates else "")
+
+    def moves_of(self, window: Window) -> dict[int, float]:
+        """Displacement per travel of every plate of a sheet that moves.
+
+        Raises CannotMove: The sheet has one plate.
+        """
+        plates = len(plates_of(window.bodies))
+        if plates < 2:
+            raise CannotMove("the design has one plate: nothing moves against it")
+        return {plates: 1.0} if self.move is None else dict(self.move)
+
+    def displacements(self, window: Window, travel: float) -> dict[int, Floats]:
+        """Displacement (3,) of every plate that moves, lengths."""
+        toward = np.array(AXES[self.axis])
+        return {plate: travel * part * toward for plate, part in self.moves_of(window).items()}
+
+
 def steer(
     design: Design,
-    travel: float,
+    travel: float | Scan,
     axis: str = "x",
     move: Mapping[int, float] | None = None,
     *,
@@ -260,8 +364,9 @@ def steer(
     ----------
     design : Design
         Of two plates or more, with identical cells.
-    travel : float
-        Largest displacement, in the design unit; the scan runs from -travel to +travel.
+    travel : float or Scan
+        Largest displacement, in the design unit; the scan runs from -travel to +travel. A Scan also has the
+        axis, the plates, the positions, and a tilt of the plates for the wobble.
     axis : "x", "y", "xy" or "z"
         Axis of travel; "xy": the travel along both; "z": along the normal, which focuses.
     move : mapping or None
@@ -291,26 +396,23 @@ def steer(
     >>> clacad.steer(design, 0.05, positions=3, rays=256, waves=False)
     Steered('biconvex', 3 positions from -0.05 to 0.05 mm along x, ...)
     """
-    if axis not in AXES:
-        raise CannotMove(f"axis {axis!r}: it is one of {', '.join(AXES)}")
-    if not (travel > 0.0 and np.isfinite(travel)):
-        raise CannotMove(f"travel {travel:g}: a length above 0")
-    if not 2 <= positions <= MOST_POSITIONS:
-        raise CannotMove(f"positions {positions}: 2 to {MOST_POSITIONS}")
+    scan = travel if isinstance(travel, Scan) else Scan(travel, axis, move, positions)
     window = equal_cells(prescribe(design), "a scan", "a uniform sheet")
-    plates = len(plates_of(window.bodies))
-    if plates < 2:
-        raise CannotMove("the design has one plate: nothing moves against it")
-    moves = {plates: 1.0} if move is None else dict(move)
+    moves = scan.moves_of(window)
     wavelength = window.wavelength or DEFAULT_WAVELENGTH
     report, found = shown_progress(progress), []
-    for number in range(positions):
-        at = travel * (2 * number - positions + 1) / (positions - 1)
-        there = {plate: at * part * np.array(AXES[axis]) for plate, part in moves.items()}
-        found.append(_position(moved_plates(window, there), at, rays, wavelength, waves=waves))
-        report("moving plates", (number + 1) / positions)
-    step = np.abs(_order_directions(window, wavelength)).max(axis=0)
-    return Steered(design.name, design.sha256, design.unit, axis, moves, wavelength, xy(step), tuple(found))
+    for number, at in enumerate(scan.travels):
+        there = scan.displacements(window, at)
+        moved = moved_plates(window, there)
+        one = _position(moved, at, rays, wavelength, waves=waves)
+        if scan.tilt:
+            middle, rim = _wobble(moved, there, scan.tilt)
+            one = replace(one, wobble=middle, wobble_at_rim=rim)
+        found.append(one)
+        report("moving plates", (number + 1) / scan.positions)
+    step = xy(np.abs(_order_directions(window, wavelength)).max(axis=0))
+    about = (design.name, design.sha256, design.unit, scan.axis, moves, wavelength, step)
+    return Steered(*about, tuple(found), scan.tilt)
 
 
 def _position(window: Window, travel: float, rays: int, wavelength: float, *, waves: bool) -> Position:
@@ -339,6 +441,25 @@ def _position(window: Window, travel: float, rays: int, wavelength: float, *, wa
     steps = _order_directions(few, wavelength)
     found = replace(found, diffraction_order=_nearest_order(found, steps))
     return _with_waves(found, few, steps, wavelength) if waves else found
+
+
+def _wobble(window: Window, moves: Mapping[int, Floats], tilt: float) -> Pair2:
+    """Wobble in the middle and at the rim of a sheet with its plates moved, each tilted about x and y."""
+    few = window.with_cells((1, 1))
+    rays = bundle(few, WOBBLE_RAYS, 0.0, middle=np.array([0.0, 0.0, 1.0])).rays
+    straight, halves = (
+        trace_sequence(interfaces(few), rays),
+        0.5 * np.ptp(np.reshape(whole_extent(window), (2, 2)), axis=1),
+    )
+    changes: dict[bool, list[float]] = {False: [0.0], True: [0.0]}
+    for plate, about, way, place in product(moves, (0, 1), (-tilt, tilt), (-1.0, 0.0, 1.0)):
+        turn, aside = np.zeros(3), np.zeros(3)
+        turn[about], aside[1 - about] = way, place * halves[1 - about]
+        seen = trace_sequence(tilted_plate(few, plate, turn, aside), rays)
+        both = (seen.fate == Fate.ALIVE) & (straight.fate == Fate.ALIVE)
+        after, before = (one.direction[both, :2] / one.direction[both, 2:] for one in (seen, straight))
+        changes[place != 0.0].append(float(np.linalg.norm((after - before).mean(axis=0))))
+    return max(changes[False]), max(changes[True])
 
 
 def _beams(lit: Bundle, seen: TraceResult) -> Pair2:

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from clacad.base.types import Rows, Rung
-from clacad.optics.rays import OneRay, Rays, TraceResult, as_rays
+from clacad.optics.rays import Fate, OneRay, Rays, TraceResult, as_rays
 from clacad.sheet.face_order import media_of
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Window
@@ -91,6 +91,18 @@ class SheetTracer:
         rays = as_rays(rays)
         if self.precision == "float32" and record:
             raise ValueError('precision "float32" keeps no record')
+        if self.lined:
+            found = _ended_at_line(lay_out(self.window), rays, self._without_line(rays, record=True))
+            return found if record else replace(found, hits=None, directions=None)
+        return self._without_line(rays, record)
+
+    @property
+    def lined(self) -> bool:
+        """Whether an opaque line on a face ends rays: of exact surfaces and facets."""
+        return self.window.land.lined >= 0 and self.rung in ("surfaces", "mesh")
+
+    def _without_line(self, rays: Rays, record: bool) -> TraceResult:
+        """Trace rays, regardless of a line printed on a face."""
         ideal = {"law": 1, "thin": 2}.get(self.rung)
         faces = 2 * len(self.window.bodies) if ideal is None else IDEAL_FACES
         recorded = (ideal or faces) if record else 0
@@ -133,6 +145,8 @@ class SheetTracer:
 
     def _chosen(self, rays: int) -> Path:
         """Path for a number of rays, regardless of the pieces they are traced in."""
+        if self.lined:
+            return "numpy"
         if self.facets is not None or self.precision == "float32":
             few = self._tiles_in_numpy(rays, 2 * len(self.window.bodies))
             return "numpy" if few else "numba"
@@ -190,6 +204,42 @@ def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int, continuous:
         for same, media in colours(layout, rays, rows):
             trace_surfaces(layout, ledger, same, media)
     return ledger.closed()
+
+
+def _ended_at_line(layout: Layout, rays: Rays, found: TraceResult) -> TraceResult:
+    """A recorded trace in which the opaque line of a face ends the rays that hit it."""
+    window, number = layout.window, layout.window.land.lined
+    assert found.hits is not None
+    assert found.directions is not None  # both recorded
+    body = window.bodies[number // 2]
+    face = body.back if number % 2 else body.front
+    place = found.hits[number] - [*window.shifts[face.array or 0], 0.0]
+    _, *local = window.lattice.locate(place[:, 0], place[:, 1])
+    margin = np.full(len(rays), np.inf)
+    for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):
+        across = np.stack(local, axis=1) @ np.asarray(window.lattice.offset(*step)) / (2.0 * half)
+        margin = np.minimum(margin, half - np.abs(across))
+    rows = np.flatnonzero((found.surface >= number) & (margin < 0.5 * window.land.line))
+    hits, ways, path = found.hits.copy(), found.directions.copy(), found.optical_path.copy()
+    before = ways[number - 1] if number else rays.direction
+    hits[number + 1 :, rows], ways[number:, rows] = hits[number, rows], before[rows]
+    for same, media in colours(layout, rays, rows):
+        ends = np.stack([rays.position[same], *hits[: number + 1, same]])
+        path[same] = np.array(media[: number + 1]) @ np.linalg.norm(np.diff(ends, axis=0), axis=2)
+    fate, surface, position = found.fate.copy(), found.surface.copy(), found.position.copy()
+    fate[rows], surface[rows], position[rows] = Fate.VIGNETTED, number, hits[number, rows]
+    direction = found.direction.copy()
+    direction[rows] = before[rows]
+    return replace(
+        found,
+        fate=fate,
+        surface=surface,
+        position=position,
+        direction=direction,
+        optical_path=path,
+        hits=hits,
+        directions=ways,
+    )
 
 
 def _enter(result: TraceResult, rows: Rows, own: TraceResult) -> None:

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from measuring.test_calibrate import scanned
 from trust.running import TINY
 
 from clacad.checks.check import kinds
 from clacad.cli import main
 from clacad.cli.brief import COLUMNS, LINES, Brief, clipped, facts
 from clacad.cli.command import commands
+from clacad.cli.option_values import command_line
 from clacad.cli.tables import counted, problems
 
 DESIGN = TINY.replace("count = [2, 2]", "count = [4, 4]").replace('"tiny"', '"small"')
@@ -86,8 +89,8 @@ SLOW = [
     "atlas --rows F1 --out atlas --size 32 --samples 1 --no-movies", "export slab.toml -o out --format step,3mf,glb", "optimise slab.toml -o better.toml --compare page.html",
     "new wished --for eta=-1,width=5mm,viewing=1m",
 ]  # fmt: skip
-CHECKED = {"check", "schema"}
-"""Commands of a test of their own, and the one whose result is a JSON document."""
+CHECKED = {"check", "schema", "calibrate"}
+"""Commands of tests of their own, and the one whose result is a JSON document."""
 
 
 def test_every_command_is_among_those_that_fit() -> None:
@@ -120,7 +123,7 @@ def test_a_result_fits_and_all_has_the_rest(words: str, folder: Path, capsys) ->
 def test_check_begins_and_ends_with_the_verdict(design: str, folder: Path, capsys, monkeypatch) -> None:
     monkeypatch.setattr("clacad.advice.hints.TRIALS", 2)
     status = int(design == "failing")
-    lines = fits(result(capsys, "check", f"{design}.toml", status=status))
+    lines = fits(result(capsys, "check", f"{design}.toml", "--set", "law.delta=[0, 0]", status=status))
     whole = result(capsys, "check", f"{design}.toml", "--all", status=status).splitlines()
     verdict = whole[-1]
     assert lines[0].startswith(f"small: {verdict}"[:90])
@@ -129,8 +132,15 @@ def test_check_begins_and_ends_with_the_verdict(design: str, folder: Path, capsy
     assert lines[-1].endswith("(all numbers: --all)")
     assert len(whole) > 80
     following = next(line for line in lines if line.startswith("next: clacad "))
-    assert f"{design}.toml" in following
+    assert f"{design}.toml --set 'law.delta=[0, 0]'" in following
     assert ("--fix" in following) == bool(status)
+
+
+def test_a_calibration_fits(folder: Path, capsys) -> None:
+    np.save(folder / "wedge.npy", scanned(0.01))
+    (folder / "wedge.npy.json").write_text('{"pixel_um": 4, "z_step_um": 1e6, "row_0": "bottom"}')
+    lines = fits(result(capsys, "calibrate", "wedge.npy", "-o", "dose.csv"))
+    assert any("17 levels" in line for line in lines)
 
 
 @pytest.mark.slow
@@ -230,12 +240,16 @@ def test_the_first_problems_are_failures_with_remedies_and_no_remedy_is_cut_wher
 
 def test_a_command_to_run_next_is_never_cut(monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "60")
-    command = f"clacad verify {'/long' * 40}/d.toml --files {'/other' * 30} -o out/report"
+    changes = ("lattice.count=[8, 8]", "design.name='a b'")
+    command = command_line(
+        "clacad verify", f"{'/long' * 40}/d.toml", "--files", "/other" * 30, changes=changes
+    )
+    assert shlex.split(command)[3:7] == ["--set", changes[0], "--set", changes[1]]
     *broken, last = str(Brief("x", (), (command,), "")).splitlines()[1:-1]
     assert all(line.endswith(" \\") for line in broken), broken
-    pasted = "\n".join([*broken, last]).replace("next: ", "echo ", 1)
+    pasted = "\n".join([*broken, last]).replace("next: ", "printf '%s\\n' ", 1)
     ran = subprocess.run(["sh", "-c", pasted], capture_output=True, text=True, check=True)
-    assert ran.stdout.strip() == command
+    assert ran.stdout.splitlines() == shlex.split(command)
 
 
 def test_any_text_is_clipped(monkeypatch) -> None:

@@ -124,3 +124,37 @@ def test_every_number_is_explained_on_hover_and_focus(chromium, tmp_path):
         [...document.querySelectorAll('.row input')].every((one) => document.getElementById(one.getAttribute('aria-describedby')))];
     })()""")
     assert explained == ["none", "block", True, True]
+
+
+def test_the_colour_switch_turns_blue_light_as_real_faces_do(chromium, tmp_path):
+    """Change of slope from the design wavelength to 464.2 nm, of the slab's own faces and of the page's lenses."""
+    page = Page(chromium, tmp_path, shipped("window-100mm"))
+    slopes, fates, pictures = [], [], []
+    for colour in (0, 1):
+        page.set(colour=colour)
+        slope, _, _, fate = page.debug(WIDE, TALL)
+        slopes.append(slope)
+        fates.append(fate)
+        pictures.append(page.picture(WIDE, TALL))
+    window = clacad.prescribe(page.design())
+    rays = page.rays(WIDE, TALL)
+    base, blue = (clacad.trace(window, clacad.Rays(*rays, wave)) for wave in (None, 464.2e-9))
+    shown = (fates[0] == Fate.ALIVE) & (fates[1] == Fate.ALIVE)
+    real = (base.fate == Fate.ALIVE) & (blue.fate == Fate.ALIVE)
+    turned = [one.direction[real, :2] / one.direction[real, 2:] for one in (base, blue)]
+    wanted = np.sqrt(np.mean((turned[1] - turned[0]) ** 2))
+    assert min(shown.sum(), real.sum()) > 300
+    assert wanted > 10 * QUANTUM
+    assert np.sqrt(np.mean((slopes[1] - slopes[0])[shown] ** 2)) == pytest.approx(wanted, rel=0.05)
+    assert (pictures[0] != pictures[1]).any()
+    assert chromium.complaints() == []
+
+
+def test_a_bare_index_has_no_colours(chromium, tmp_path):
+    page = Page(chromium, tmp_path, shipped("paper-a-covered"))
+    assert chromium.run("document.querySelector('[name=colour]').disabled")
+    pictures = []
+    for colour in (0, 1):
+        page.set(colour=colour)
+        pictures.append(page.picture(WIDE, TALL))
+    assert (pictures[0] == pictures[1]).all()

@@ -137,7 +137,7 @@ WRONG = [
     (np.diag([1.0, -1.0, -1.0]), "it is not turned"),
     pytest.param(
         np.diag([1.0, 1.0, -1.0]), "it is not turned", marks=pytest.mark.slow
-    ),  # square cells look alike mirrored: both are named a turn
+    ),  # square cells look alike mirrored: the same for both
     (np.eye(3) * 0.994, "not compensated for the shrinkage"),
     pytest.param(np.eye(3) * 0.994**2, "scaled by 1 - s", marks=pytest.mark.slow),
     pytest.param(np.diag([0.994, -0.994, -0.994]), "it is not turned", marks=pytest.mark.slow),

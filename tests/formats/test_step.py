@@ -239,6 +239,7 @@ def test_a_loop_that_its_face_takes_the_other_way_round_is_counted_the_other_way
     assert scan_step(turned).open_edges == scan_step(path).open_edges == 0
 
 
+@pytest.mark.daily_cases("broken lines", "lost")
 @pytest.mark.parametrize("change", [
     lambda text: text,
     lambda text: text.replace("',(", "' ,\n ( ").replace(",#", ", #").replace("=", " = "),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from dataclasses import replace
 from functools import cache
@@ -223,6 +224,19 @@ def test_explain_prints_index_and_abbe_number_of_a_material_with_its_source(name
     assert found.why.startswith("From: ")
 
 
+MATERIALS = ["PMMA", "PMMA Beadie", "PS", "PC", "COP", "N-BK7", "N-SF6", "N-F2", "fused silica", "NOA61"]
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_explain_prints_range_v_dn_dt_expansion_and_density_or_that_they_are_not_published(name):
+    found = " ".join(explain(name).means.split())
+    assert re.search(r"V_d = [0-9.]+; known from [0-9]+ to [0-9]+ nm", found)
+    assert re.search(r"dn/dT (not published|-?[0-9.]+e-6/K at [0-9]+ nm)", found)
+    assert re.search(r"expansion (not published|[0-9.]+e-6/K)", found)
+    assert re.search(r"[0-9]+ kg/m³|density not published", found)
+
+
+@pytest.mark.daily_cases("achromat-plastic")
 @pytest.mark.parametrize(
     "kind",
     [
@@ -286,6 +300,7 @@ def test_sheets_with_errors_are_judged_in_white_light_and_over_temperature_where
     assert {one.measure for one in limits(stated)} >= {"law_white", "temperature"}
 
 
+@pytest.mark.slow
 def test_a_sweep_of_a_design_that_states_its_light_has_the_rows_of_white_light():
     sheet = load(DESIGNS / "window-100mm.toml").with_cells((20, 20))
     axes = [("pair.material", ("PMMA", "PMMA Beadie"))]

@@ -410,3 +410,13 @@ def test_verify_reports_the_sheet_as_made(tmp_path, capsys):
     numbers = json.loads((tmp_path / "report" / "report.json").read_text(encoding="utf-8"))
     assert numbers["as_made"]["formed"] > numbers["as_made"]["designed"]
     assert "made_light" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["plano", "hexagonal", "galilean"])
+def test_a_sheet_that_nothing_is_left_on_has_the_light_of_a_plain_trace(name):
+    design = clacad.load(name, ["lattice.count = [4, 4]", "lattice.seam = 0"])
+    window = clacad.prescribe(design)
+    made = light_as_made(design, window, 4096, Process())
+    plain = clacad.measure_light(window, design.check.field, rays=4096)
+    assert made.formed == made.everything == pytest.approx(plain.rms, rel=0.01)
+    assert made.share_formed == pytest.approx(plain.share, abs=3e-3)

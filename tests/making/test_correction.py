@@ -1,4 +1,4 @@
-"""The loop of command, part, map and next command: five makers come to the light of the design, and it knows when to stop."""
+"""The loop of command, part, map, next command: five makers come to the light of the design."""
 
 from __future__ import annotations
 
@@ -154,6 +154,24 @@ def test_levels_state_their_floor():
     sag = 0.02545393116754137e6 / 255
     [note] = [note for note in found.notes if "256 levels" in note]
     assert float(note.split()[2]) == pytest.approx(sag / 12**0.5, rel=0.01)
+
+
+def test_the_dose_of_a_greyscale_command_gives_its_depths_within_half_a_level(tmp_path):
+    from PIL import Image
+
+    of = load(DESIGNS / "window-100mm.toml", ('check.process = "greyscale"',))
+    found = correct(of, as_map(made(of, MAKERS["UV resin"])), z_scale=SURE)
+    table = tmp_path / "dose.csv"  # depth = 40 um (level/255)**1.5
+    levels = np.arange(256)
+    rows = [f"{k},{40.0 * (k / 255.0) ** 1.5:.9f}" for k in levels]
+    table.write_text("\n".join(["level,depth_um", *rows]))
+    *_, picture = found.write(tmp_path / "next", calibration=table)
+    dose = np.asarray(Image.open(picture))[::-1]
+    depth = 40e-3 * (dose / 255.0) ** 1.5
+    wished = found.heights.max() - found.heights
+    assert np.abs(depth - wished).max() < 0.5 * 40e-3 * np.diff((levels / 255.0) ** 1.5).max() + 1e-9
+    straight = found.dose()
+    assert (straight.min(), straight.max()) == (0, 255)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"design": 3}', "nan"])

@@ -59,6 +59,7 @@ def own_cells(made: Made, found) -> list[tuple[int, int]]:
     return [(int(i), int(j)) for i, j in np.rint(places / 0.5)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("numbers", [range(1), pytest.param(range(1, 40), marks=pytest.mark.long)])
 def test_random_parts_are_measured_within_their_uncertainty_and_none_is_judged_wrongly(numbers):
     within, kept = [], []
@@ -99,11 +100,13 @@ def test_hard_maps_are_measured_with_a_larger_uncertainty(name):
     assert found.light.low <= true_rms(made, np.array([SPHERE])) <= found.light.high
 
 
+@pytest.mark.slow
 def test_a_map_tilted_beyond_the_limit_is_refused():
     with pytest.raises(NotMeasurable, match="tilted by"):
         measure(WINDOW, mapped(Made(tilt=(0.3, 0.0))))
 
 
+@pytest.mark.slow
 def test_radius_and_scale_of_heights_are_one_number():
     one = measure(WINDOW, mapped(Made(z_scale=1.02)), z_scale=(1.02, 1e-4))
     two = measure(WINDOW, mapped(Made(z_scale=1.02)), z_scale=(1.00, 1e-4))
@@ -173,6 +176,7 @@ def test_objects_in_an_array_file_are_not_loaded(tmp_path):
         load(str(tmp_path / "a.npy"), ".npy", str(tmp_path / "z.npy"))
 
 
+@pytest.mark.daily_cases("False")
 @pytest.mark.parametrize("below", [False, True])
 def test_a_mesh_of_a_surface_gives_the_numbers_of_its_map(below, tmp_path):
     """Facets between neighbouring points; below: as a front lies in the sheet, its outside towards -z."""

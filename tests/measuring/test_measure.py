@@ -82,6 +82,7 @@ def _best_turn(one: np.ndarray, two: np.ndarray) -> np.ndarray:
     return u @ v
 
 
+@pytest.mark.daily_cases("2.468143364277402-0.0")
 @pytest.mark.parametrize(("radius", "conic"), [(SPHERE, 0.0), (0.985 * SPHERE, 0.3), (1.04 * SPHERE, 0.0)])
 def test_light_through_a_measured_front_is_that_through_the_exact_surface(radius, conic):
     found = measure(
@@ -100,6 +101,7 @@ def test_light_through_a_measured_front_is_that_through_the_exact_surface(radius
     assert found.light.low <= light.rms <= found.light.high or abs(found.light.rms - light.rms) < 4e-6
 
 
+@pytest.mark.slow
 def test_a_radius_near_the_limit_is_judged_only_where_the_scale_of_heights_is_known_well_enough():
     near = mapped(Made(radius=0.979 * SPHERE))
     open_ = measure(WINDOW, near)
@@ -112,6 +114,7 @@ def test_a_radius_near_the_limit_is_judged_only_where_the_scale_of_heights_is_kn
     assert (far.verdict, states(far)["scan_radius"]) == ("fail", "warn")
 
 
+@pytest.mark.slow
 def test_a_second_map_tilted_by_eight_degrees_gives_the_scale_of_heights(tmp_path):
     made = Made(z_scale=1.0071, spread_middle=2e-4, turn=0.02, noise=10e-6)
     tilted = replace(made, tilt=(0.14, 4e-4), seed=1, cells=dict(made.cells))
@@ -124,6 +127,7 @@ def test_a_second_map_tilted_by_eight_degrees_gives_the_scale_of_heights(tmp_pat
         measure(WINDOW, mapped(made), tilted=made.write(tmp_path / "level.npy"))
 
 
+@pytest.mark.slow
 def test_a_part_that_shrank_by_one_per_cent_is_named():
     made = Made(radius=0.99 * SPHERE, pitch=(0.495, 0.495))
     found = measure(WINDOW, mapped(made), z_scale=1.0)
@@ -132,6 +136,7 @@ def test_a_part_that_shrank_by_one_per_cent_is_named():
     assert "shrinkage of the part, or another lateral scale" in pitch.sentence
 
 
+@pytest.mark.slow
 def test_texture_is_separated_from_noise_and_taken_as_a_share_of_light():
     rms, period = 12e-6, 0.04
     found = measure(WINDOW, mapped(Made(scallop=(rms, period), noise=5e-6)), z_scale=1.0)

@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clacad import DesignError, optimise, prescribe
+from clacad import DesignError, Scan, optimise, prescribe, steer
+from clacad.base.types import silent
 from clacad.design import Design, load, template
 from clacad.optimising.aim import LISTED_FIELDS
 from clacad.optimising.face_search import Walls
-from clacad.optimising.listed_unknowns import BOTH, listed_unknowns, with_listed
+from clacad.optimising.scan_light import BEAM, ScanLight
 from clacad.optimising.search import design_text
+from clacad.optimising.unknowns import BOTH, listed_unknowns, with_listed
 from clacad.prescription.face_matrices import matrices
 
 DATA = Path(__file__).parents[1] / "data"
@@ -105,3 +107,64 @@ def test_walls_keep_b_and_the_air_between_plates():
     slack = walls.slack(with_listed(window, unknowns.faces(closer)[0]))
     assert slack["air behind plate 1"] < 0.0
     assert np.isfinite(list(slack.values())).all()
+
+
+F2 = Scan(0.0491, "x", {2: 0.5, 3: 1.0})
+
+
+def test_light_of_a_scan_is_that_of_the_positions_that_are_traced_through_cells():
+    design = starter("scanner-f2")
+    light = ScanLight.of(F2, prescribe(design).with_cells((1, 1)))
+    seen = light.start
+    found = steer(design, replace(F2, positions=11), waves=False, progress=silent).positions[5:]
+    assert light.travels == pytest.approx([one.travel for one in found], abs=1e-15)
+    assert seen.mean == pytest.approx(np.array([one.slopes for one in found]), abs=2e-4)
+    assert seen.spread == pytest.approx([one.spread for one in found], rel=0.04)
+    assert seen.share == pytest.approx([one.share for one in found], abs=0.015)
+    assert seen.beam == pytest.approx(np.array([one.exit_beams for one in found]), abs=0.01)
+    mean = np.mean([one.spread**8 for one in found]) ** 0.125
+    window = prescribe(design)
+    assert np.linalg.norm(light.residuals(window)) == pytest.approx(mean, rel=0.03)
+    slack = light.slack(window)
+    assert slack["exit beam"] == pytest.approx(1.0 - (1.0 - found[-1].exit_beams[0]) / BEAM, abs=0.1)
+    assert slack["exit beam"] < 0.0 < slack["share of the scan"]
+
+
+@pytest.mark.slow
+def test_a_scan_is_searched_with_its_beam_slope_and_share_held(tmp_path):
+    design = starter("scanner-f5")
+    scan = Scan(0.04925, positions=3)
+    found = optimise(design, ("conic",), scan, progress=lambda *_: None)
+    before, after = found.scans
+    assert after.worst_spread < before.worst_spread
+    assert np.mean([one.spread for one in after.positions]) < np.mean(
+        [one.spread for one in before.positions]
+    )
+    assert after.least_share >= 0.96
+    assert all(abs(width - 1.0) <= 0.05 for one in after.positions for width in one.exit_beams)
+    assert after.positions[-1].slopes[0] == pytest.approx(before.positions[-1].slopes[0], rel=5e-3)
+    out = tmp_path / "better.toml"
+    out.write_text(design_text(found), encoding="utf-8")
+    assert load(out).pair.search.scan == '"±0.04925 mm" --axis x'
+    assert found.to_dict()["scan"][1]["positions"][0]["spread"] == after.positions[0].spread
+
+
+@pytest.mark.long
+def test_a_search_brings_the_beam_of_the_wide_scanner_within_five_percent():
+    design = starter("scanner-f2")
+    found = optimise(design, ("radii", "conic", "thickness"), F2, progress=lambda *_: None)
+    before, after = found.scans
+    assert min(one.exit_beams[0] for one in before.positions) < 0.94
+    assert all(abs(width - 1.0) <= 0.05 for one in after.positions for width in one.exit_beams)
+    assert after.worst_spread <= 1.9e-3
+    assert after.least_share >= 0.96
+    assert after.positions[-1].slopes[0] >= 0.244
+
+
+def test_scans_of_what_has_none_are_refused():
+    with pytest.raises(DesignError, match="moves listed plates"):
+        optimise(starter("slab"), ("radii",), Scan(0.01))
+    with pytest.raises(DesignError, match="focuses"):
+        optimise(starter("scanner-f5"), ("radii",), Scan(0.01, "z"))
+    with pytest.raises(DesignError, match="at one wavelength"):
+        optimise(starter("scanner-f5"), ("radii",), Scan(0.01), spectrum="visible")

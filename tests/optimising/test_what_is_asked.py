@@ -18,9 +18,9 @@ from clacad import Design, DesignError, load, optimise, prescribe
 from clacad.optics.surface import EvenPolynomial
 from clacad.optimising import face_search
 from clacad.optimising.aim import Aim, AimedRays, measured
-from clacad.optimising.gain_as_made import gain_as_made
 from clacad.optimising.search import design_text, lines_of_search
 from clacad.optimising.unknowns import chosen
+from clacad.report.better_faces import gain_as_made
 from clacad.verification.tolerance import NoTolerances, bench, draw, parameters
 
 DESIGNS = Path(__file__).parents[2] / "designs"

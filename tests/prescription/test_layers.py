@@ -61,7 +61,7 @@ def test_white_light_through_flat_joints_keeps_to_the_law(layers, inner, most):
     [((-0.25, -1), 0.111, 0.452), ((0.5, 0.5), 0.011, 0.0228), ((-0.5, -0.5), 0.058, 0.117)],
 )
 def test_conics_that_are_not_given_follow_the_law_better_than_those_of_eta_minus_1(eta, most, before):
-    """Another program reached .101 and .0097 mrad with four conics of their own; −1/n² leaves what `before` says."""
+    """Another program reached .101 and .0097 mrad with four conics of their own; −1/n² leaves `before`."""
     index = float(find("silica").index(546.1e-9))
     white = [
         next(check for check in judge(design).light if check.id == "law_white")
@@ -104,6 +104,45 @@ def test_layers_are_the_list_of_faces_they_are_solved_into():
 def test_layers_that_cannot_be_achromatic_are_refused_with_their_numbers(layers, says):
     with pytest.raises(DesignError, match=says):
         prescribe(slab(layers))
+
+
+def plates(*media, eta=(-1, -1), check=("law_white", "0.1 mrad")):
+    """Two plates: faces of radius 2 at 0, 1, 9 and 10 mm with these media behind them."""
+    faces = [
+        {"radius": radius, "z": z, "array": array, "behind": medium}
+        for radius, z, array, medium in zip((2, -9, 9, -2), (0, 1, 9, 10), (1, 1, 2, 2), (*media, "air"))
+    ]
+    del faces[0]["z"]
+    given = {**slab(eta=eta).given, "pair": {"form": "plates", "wavelength": 546.1, "face": faces}}
+    return Design.from_dict({**given, "check": dict([check])})
+
+
+def test_listed_plates_of_two_materials_across_air_are_refused_in_white_light_with_their_numbers():
+    with pytest.raises(
+        DesignError, match="V = 52.*V = 29.*eta = 0.5[0-9]+ alone, and at no eta below 0"
+    ) as refused:
+        plates("PMMA", "air", "PS")
+    ratio = re.search(r"eta = ([0-9.]+) alone", str(refused.value))
+    indices = [[float(find(m).index(w)) for w in (546.1e-9, F, C)] for m in ("PMMA", "PS")]
+    v = [(n - 1) / (first - last) for n, first, last in indices]
+    assert float(ratio[1]) == pytest.approx(v[1] / v[0], rel=2e-3)
+    for allowed in (
+        {"media": ("PMMA", "air", "PMMA")},
+        {"media": ("PMMA", "air", "PS"), "eta": (0.5, 0.5)},
+        {"media": ("PMMA", "air", "PS"), "check": ("law_rms", "3 mrad")},
+    ):
+        media = allowed.pop("media")
+        assert plates(*media, **allowed).pair.form == "plates"
+
+
+def test_a_diffractive_face_of_listed_plates_is_refused_with_its_zones():
+    """10 mm of air between lenses of PMMA at p = .5 mm: fewer zones than a grating needs, as for a slab."""
+    with pytest.raises(
+        DesignError, match="has 0.[0-9]+ zones over a cell, and a grating needs 10"
+    ) as refused:
+        plates("PMMA", "air", "diffractive")
+    length = 1.0 / float(find("PMMA").index(546.1e-9)) + 9.0
+    assert f"not {0.25 / length:.2g}" in str(refused.value)
 
 
 @pytest.mark.parametrize(

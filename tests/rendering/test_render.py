@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from viewscenes import CASES, ROOT, VIEWS, view_data, view_scene
 
+from clacad.design import template
 from clacad.optics.rays import Fate
 from clacad.rendering import view_through
 from clacad.rendering.camera import aim, offsets, rays
@@ -35,7 +36,7 @@ from clacad.rendering.scene_arrays import set_stage
 from clacad.rendering.scene_hits import look, nearest
 from clacad.rendering.screen_measure import measure
 from clacad.rendering.sheet_passage import geometry_alone
-from clacad.scene import Scene, SceneError
+from clacad.scene import Scene, SceneError, load_scene
 from clacad.scene.chess_knight import turned
 from clacad.tracing.facets.hierarchy import mesh_tree, nearest_triangle
 
@@ -685,3 +686,40 @@ def test_exact_surfaces_with_a_tint_are_drawn_alike_by_both_ways():
 def test_a_tint_outside_0_to_1_is_refused(tint):
     with pytest.raises(SceneError, match=r"sheet\.tint"):
         scene(sheet={"tint": tint})
+
+
+FLOATING = """format = 1
+name = "floating"
+unit = "mm"
+sheet = {design = "wide.toml", rung = "surfaces", surround = "opaque", set = {"lattice.count" = [160, 160]}}
+camera = {position = [%r, 0, %r], target = [0, 0, -60], frame = 60, pixels = 60, samples = 4}
+light = {ambient = 1.0, key = 0.0}
+background = {sky = ["#000000", "#000000"], ground = "#000000"}
+effects = {mode = "none"}
+object = [{id = "ball", kind = "sphere", at = [9, 6, 60], size = 5, colour = "#ffffff"}]
+"""
+
+
+@pytest.mark.parametrize("angle", [-8.0, 0.0, 8.0])
+def test_the_real_image_of_a_wide_field_floats_where_the_law_sends_the_light(tmp_path, angle):
+    """A point (x, y, z) behind a sheet of eta = -1 is imaged to (x, y, -z), for every eye: no turn and no band."""
+    (tmp_path / "wide.toml").write_text(template("wide", "three-plates-10deg"))
+    eye = 900.0 * np.array([math.sin(math.radians(angle)), 0.0, -math.cos(math.radians(angle))]) - [
+        0.0,
+        0.0,
+        60.0,
+    ]
+    (tmp_path / "scene.toml").write_text(FLOATING % (float(eye[0]), float(eye[2])))
+    light = view_through(load_scene(tmp_path / "scene.toml"), compiled=False).light.sum(axis=-1)
+    y, x = np.mgrid[:60, :60] + 0.5
+    found = np.array([(x * light).sum(), (y * light).sum()]) / light.sum()
+    ahead = np.array([0.0, 0.0, -60.0]) - eye
+    ahead /= np.linalg.norm(ahead)
+    right = np.cross(ahead, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    toward = np.array([9.0, 6.0, -60.0]) - eye
+    seen = 900.0 / (toward @ ahead) * np.array([toward @ right, -(toward @ np.cross(right, ahead))])
+    assert found == pytest.approx(30.0 + seen, abs=0.7)
+    disc = np.hypot(x - 30.0 - seen[0], y - 30.0 - seen[1])
+    assert light[disc < 1.5].min() > 0.6 * light.max()
+    assert light[disc > 6.0].sum() < 0.05 * light.sum()

@@ -412,3 +412,37 @@ def test_the_view_is_that_of_the_stated_viewer_and_none_of_one_behind_the_sheet(
         assert seen_by_viewer(design.replace(nowhere), window) is None
     behind = design.replace({"lattice.aperture": {"point": [0, 0, 400]}})
     assert seen_by_viewer(behind, prescribe(behind)) is None
+
+
+def test_lines_of_white_light_and_temperatures_have_a_row_each_with_the_floor_and_its_source(page):
+    """The mean is that of another program for this sheet, .293 mrad, and the floor .285; a bare index has none."""
+    from clacad.report.rows import LightRows
+
+    design = load(Path(__file__).parents[2] / "designs" / "window-100mm.toml").with_cells((12, 12))
+    rows = LightRows(verify(design, rays=4096), None, timings=False)
+    table = {row[0]: row[1:] for row in rows.daylight}
+    assert list(table) == ["486.1 nm", "546.1 nm", "587.6 nm", "656.3 nm", "mean", "-20 K", "+20 K"]
+    assert float(table["mean"][1]) == pytest.approx(0.293, rel=0.01)
+    assert all(
+        float(change) == pytest.approx(float(closed), rel=0.03) for _, _, change, closed, _ in table.values()
+    )
+    floor = re.search(r"less than ([0-9.]+) mrad", rows.daylight_sentence)
+    assert float(floor[1]) == pytest.approx(0.2848, rel=0.01)
+    assert "Kasarova et al. 2007" in rows.daylight_sentence
+    unknown = LightRows(
+        verify(design.replace("pair.material", "PMMA Beadie"), rays=1024), None, timings=False
+    )
+    assert "no change of the index with temperature is published" in unknown.daylight_sentence
+    assert "Daylight and temperature" not in page
+
+
+@pytest.mark.slow
+def test_the_page_shows_the_lines_of_white_light(tmp_path, monkeypatch):
+    home = importlib.import_module("clacad.report.report_files")
+    monkeypatch.setattr(home, "SECTIONS", tuple(s for s in home.SECTIONS if s[0] == "errors"))
+    glass = {**TEXT, "pair": {"form": "slab", "separation": 10.0, "material": "PMMA", "wavelength": 546.1}}
+    found = verify(Design.from_dict(glass), rays=2048).with_evidence()
+    html, _ = write_report(content(found, lambda _stage, _part: None), tmp_path)
+    text = html.read_text(encoding="utf-8")
+    assert "<h3>Daylight and temperature</h3>" in text
+    assert text.count("486.1 nm</td>") == 1

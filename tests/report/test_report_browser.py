@@ -14,10 +14,13 @@ from clacad.report import write_report
 from clacad.report.content import content
 from clacad.verification import verify
 
-pytestmark = pytest.mark.skipif(
-    browser.find() is None or importlib.util.find_spec("websockets") is None,
-    reason="no Chromium on the path, or no package websockets to talk to it",
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        browser.find() is None or importlib.util.find_spec("websockets") is None,
+        reason="no Chromium on the path, or no package websockets to talk to it",
+    ),
+]
 
 TEXT = {
     "format": 1, "name": "in a browser", "unit": "mm", "law": {"eta": [-0.5, -1.0]},

@@ -180,6 +180,7 @@ def test_light_that_passes_two_sheets_counts_the_share_of_both():
     assert lit.mean() == pytest.approx(share, abs=0.04)
 
 
+@pytest.mark.daily_cases("False")
 @pytest.mark.parametrize("compiled", [True, False])
 def test_an_object_between_sheets_hides_what_light_reaches_it_after_the_first(compiled):
     """A wide red screen 60 mm behind the first of two sheets is all that is seen through both; one that the light

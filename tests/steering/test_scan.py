@@ -10,13 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clacad import prescribe, steer
+from clacad import Scan, prescribe, steer
 from clacad.base.types import silent
 from clacad.cli.entry_point import main
 from clacad.design import Design, load, template
 from clacad.prescription.face_matrices import matrices
 from clacad.report.scan_files import csv_text, page
+from clacad.sheet.bundle import bundle
 from clacad.sheet.moved_plates import CannotMove, moved_plates, paraxial_exit
+from clacad.sheet.volume_and_extent import whole_extent
+from clacad.verification.tolerance import telescopelet
 from clacad.waves import exit_pupil
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "data" / "scanner.json").read_text())
@@ -84,6 +87,23 @@ def test_efficiencies_of_all_orders_add_up_to_the_light_of_the_cells_own_partner
     assert peak == pytest.approx(here, rel=1e-3)  # at rest the light is on an order
 
 
+def test_orders_of_oblique_light_through_a_wide_form_add_up_to_its_share():
+    window = prescribe(starter("three-plates-10deg"))
+    angle, length = np.radians(9.0), 546.1e-6
+    light = np.array([np.sin(angle), 0.0, np.cos(angle)])
+    pupil = exit_pupil.pupil(window, light, 546.1e-9, 96)
+    toward = window.law.refract(light[None])[0]
+    steps = [(i, j) for i in range(-7, 8) for j in range(-7, 8)]
+    found = [
+        exit_pupil.order_efficiency(pupil, window, toward, length, toward[:2] + np.array(one) * length / 0.5)
+        for one in steps
+    ]
+    assert sum(found) == pytest.approx(pupil.alive.mean(), rel=0.02)
+    peak = exit_pupil.order_efficiency(pupil, window, toward, length)
+    assert max(found) <= peak * (1.0 + 1e-6)
+    assert 0.7 < peak < pupil.alive.mean()
+
+
 @pytest.mark.parametrize(
     ("kind", "words", "says"),
     [
@@ -107,6 +127,34 @@ def test_travel_along_the_normal_focuses():
     assert power[2] - power[0] == pytest.approx(1e3 * first * second * 0.01, rel=0.05)
 
 
+def test_wobble_is_that_of_tolerances_of_tilt_and_at_the_rim_that_of_a_plate_that_rose():
+    design = starter("scanner-f5").with_cells((100, 100))
+    tilt = 1e-3
+    found = steer(design, Scan(0.04, positions=2, tilt=tilt), rays=64, waves=False, progress=silent)
+    window = moved_plates(prescribe(design), {2: np.array([-0.04, 0.0, 0.0])})
+    rays = bundle(window.with_cells((1, 1)), 512, 0.0, middle=np.array([0.0, 0.0, 1.0])).rays
+
+    def change(axis, error, place):
+        ways = [telescopelet(window, e, place).send(rays).direction for e in ({}, {f"tilt.{axis}": error})]
+        kept = np.isfinite(ways[0][:, 0]) & np.isfinite(ways[1][:, 0])
+        means = [(way[kept, :2] / way[kept, 2:]).mean(axis=0) for way in ways]
+        return np.linalg.norm(means[1] - means[0])
+
+    middle = max(change(axis, way * tilt, np.zeros(2)) for axis in "xy" for way in (-1.0, 1.0))
+    assert found.positions[0].wobble == pytest.approx(middle, rel=1e-6)
+    assert found.wobble[0] == max(one.wobble for one in found.positions)
+    x0, x1, y0, y1 = whole_extent(window)
+    rims = {"x": (0.0, 0.5 * (y1 - y0)), "y": (0.5 * (x1 - x0), 0.0)}
+    ends = [
+        change(axis, way * tilt, side * np.array(place))
+        for axis, place in rims.items()
+        for way in (-1.0, 1.0)
+        for side in (-1.0, 1.0)
+    ]
+    assert found.positions[0].wobble_at_rim == pytest.approx(max(ends), rel=1e-3)
+    assert np.isnan(steer(design, 0.04, positions=2, rays=64, waves=False, progress=silent).wobble[0])
+
+
 def test_files_and_json_hold_the_numbers_of_the_scan(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("own.toml").write_text(template("own", "scanner-f5"))
@@ -127,6 +175,11 @@ def test_files_and_json_hold_the_numbers_of_the_scan(tmp_path, capsys, monkeypat
     text = page(load("own.toml"), found)
     assert not re.search(r"(src|href)=.(?!data:|#)", text)
     assert text == page(load("own.toml"), found)
+    tilted = ["--tilt", "0.1 mrad", "--json", "-q"]
+    assert main([*words[:3], "10 um", "--positions", "2", "--rays", "64", "--no-waves", *tilted]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["tilt"] == pytest.approx(1e-4)
+    assert 0.0 < told["wobble"] < 1e-3
     assert main([*words, "--move", "plate=2"]) == 2
     assert main([*words[:3], "nothing"]) == 2
     assert main([*words, "-o", "scan.pdf"]) == 2

@@ -109,6 +109,7 @@ def test_whatever_is_given_is_answered_by_a_sentence(
     assert sorted(p.name for p in place.rglob("*")) == before
 
 
+@pytest.mark.daily_cases("crlf.toml")
 @pytest.mark.parametrize("name", ["bom.toml", "crlf.toml", "link.toml"])
 def test_harmless_oddities_are_read(place: Path, name: str) -> None:
     from clacad.cli import main

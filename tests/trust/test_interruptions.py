@@ -188,6 +188,7 @@ def test_the_sentence_is_said_once_whoever_comes_first(monkeypatch: pytest.Monke
     assert said == [SENTENCE]
 
 
+@pytest.mark.slow
 def test_the_loading_of_a_module_is_not_unwound(design: Path, tmp_path: Path) -> None:
     """Compiled code at load time need not expect an exception: the process ends at once, cleaned up, from below it."""
     (tmp_path / "slowly.py").write_text("import sys, time\nsys.stderr.write('ready\\n')\ntime.sleep(600)\n")

@@ -123,7 +123,7 @@ THREE_BODIES = TINY.replace("separation", "field_lens = true\nseparation")
 """A field lens on a plate of its own, for the foci of x and y lie apart."""
 
 
-@pytest.mark.daily_cases("both-12-design0")
+@pytest.mark.slow
 @pytest.mark.parametrize(("what", "times", "design"), [
     ("both", 12, TINY), pytest.param("export", 12, THREE_BODIES, marks=pytest.mark.slow),
     pytest.param("export", 100, TINY, marks=pytest.mark.long), pytest.param("report", 100, TINY, marks=pytest.mark.long),

@@ -54,6 +54,7 @@ def test_a_wrong_gap_is_that_of_a_design_with_its_faces_farther_back(design):
         assert one.vertex == pytest.approx(two.vertex, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_compensator_takes_back_what_it_can(design):
     wrong = design.replace({"tolerances.decentre": "0 um", "tolerances.tilt": "0 mrad"})
     free = tolerance(wrong, 4, 0, 64, Farm(1), progress=silent)

@@ -67,6 +67,7 @@ def test_the_five_parts_of_every_ray_add_up_to_its_error(whole):
     assert all(part.rms > 0.0 for part in whole.parts)
 
 
+@pytest.mark.slow
 def test_the_whole_is_the_angle_to_the_law_that_the_checks_measure(slab):
     """Without triangles the whole must equal that of a plain trace and the law, ray by ray."""
     design, window = slab
@@ -162,6 +163,7 @@ def coarser(window, bits):
     return as_written(one, held, f"{bits} bits")
 
 
+@pytest.mark.slow
 def test_coarser_numbers_raise_file_precision_alone(slab):
     design, window = slab
     one = window.with_cells((1, 1))

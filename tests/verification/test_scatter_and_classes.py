@@ -11,8 +11,10 @@ from verification.test_tolerance import PLANO, SLAB
 from clacad.cli import main
 from clacad.design import Design, DesignError, load
 from clacad.design.process_profiles import TOLERANCE_CLASSES
+from clacad.optics.surface import Biconic, EvenPolynomial, Quadric
 from clacad.prescription.prescribe import prescribe
 from clacad.verification.tolerance import Farm, bench, draw, parameters, tolerance
+from clacad.verification.tolerance.misaligned import flattened
 from clacad.verification.tolerance.study import yield_if_tighter
 
 SCATTER = {
@@ -87,6 +89,26 @@ def test_a_scatter_is_the_same_on_every_sheet_and_ranked_next_to_errors_of_array
     changes = {name: change for name, change, _ in study.ranking("law_rms")}
     assert changes["scatter_pitch.2.x"] > 1.5 * changes["scatter_pitch.1.x"] > 0.0
     assert yield_if_tighter(study, "scatter_pitch", 0.5) is None
+
+
+@pytest.mark.parametrize("surface", [
+    Quadric(0.4, 0.3, 0.25, 1), Biconic(0.4, 0.3, -0.4, 0.2, 1),
+    EvenPolynomial(0.4, 0.3, -0.4, 0.2, (1e-2, 2e-2, 3e-2), 1, (1e-3, 0.0, 0.0, 2e-3), (1e-3, 0.0, 0.0, 0.0, 0.0)),
+])  # fmt: skip
+def test_a_face_that_shrinks_in_height_has_its_heights_times_one_less_the_error(surface):
+    at = np.linspace(-0.5, 0.5, 21)
+    x, y = np.meshgrid(at, at)
+    assert flattened(surface, 0.03).sag(x, y) == pytest.approx(0.97 * surface.sag(x, y), rel=1e-12, abs=1e-15)
+
+
+def test_an_error_of_the_shrinkage_is_a_contributor_with_the_power_of_longer_focal_lengths():
+    """Both faces flatter by e: f longer by e to first order, the slab as thick as before."""
+    design = made(shrinkage=0.002)
+    window = prescribe(design)
+    assert [(one.name, one.half) for one in parameters(design, window)] == [("shrinkage", 0.002)]
+    table = bench(design, window, 64)
+    f1 = window.thin.focal_length[0][0]
+    assert table.measured({"shrinkage": 1e-4})["power_xx"] == pytest.approx(2e-4 * 1e3 / f1, rel=0.01)
 
 
 @pytest.mark.parametrize("name", TOLERANCE_CLASSES)

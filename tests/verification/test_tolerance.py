@@ -234,6 +234,7 @@ def test_yield_counts_the_sheets_that_keep_every_limit(study):
     assert 0.0 <= low < good.mean() < high <= 1.0
 
 
+@pytest.mark.daily_cases("normal")
 @pytest.mark.parametrize("distribution", ["normal", "uniform"])
 def test_the_yield_at_a_tighter_tolerance_is_that_of_sheets_drawn_with_it(distribution):
     """The law error is a root mean square of all errors, in place of a trace of each sheet."""

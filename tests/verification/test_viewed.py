@@ -92,6 +92,7 @@ def test_a_design_without_the_key_keeps_its_text():
     assert "viewed = 0.8" in design.replace({"check.viewed": 0.8}).canonical_toml()
 
 
+@pytest.mark.slow
 def test_check_and_verify_fail_by_exit_status(tmp_path, capsys):
     path = tmp_path / "window.json"
     path.write_text(json.dumps({**SHEET, "check": {"viewer": 400}}), encoding="utf-8")

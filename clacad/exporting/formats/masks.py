@@ -34,11 +34,10 @@ OWN_SECONDS = 7e-9
 
 def _write_mask(job: Job) -> list[FileRecord]:
     """Two masks a structured face, SVG and DXF."""
-    from clacad.formats.maps.mask import check_mask, write_dxf, write_svg
-    from clacad.formats.maps.sag import structured_faces
+    from clacad.formats.maps.mask import check_mask, masked_faces, write_dxf, write_svg
 
     records = []
-    for body, face, label in structured_faces(job.window):
+    for body, face, label in masked_faces(job.window):
         svg, dxf = (
             job.stage.path(f"{job.stem}.{label}.mask.svg"),
             job.stage.path(f"{job.stem}.{label}.mask.dxf"),
@@ -75,11 +74,10 @@ def _write_gds(job: Job) -> list[FileRecord]:
 
 def _require_mask(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require one outline for the lenses of a face."""
-    from clacad.formats.maps.mask import aperture
-    from clacad.formats.maps.sag import structured_faces
+    from clacad.formats.maps.mask import aperture, masked_faces
 
     if not window.uniform:
-        for body, face, _ in structured_faces(window):
+        for body, face, _ in masked_faces(window):
             aperture(window, body, face)
 
 
@@ -97,21 +95,20 @@ def _require_gds(window: Window, asked: Request, _worker: Worker) -> None:
 
 
 def _forecast_mask(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
-    from clacad.formats.maps.sag import structured_faces
+    from clacad.formats.maps.mask import masked_faces
 
     window = meshes.window
-    drawn = 100 * window.lattice.cell_count * len(structured_faces(window))
+    drawn = 100 * window.lattice.cell_count * len(masked_faces(window))
     return map_row(MASK, _mask_bytes(window), BASE + MASK_SECONDS * drawn)
 
 
 def _mask_bytes(window: Window) -> int:
     """Size of the SVG and DXF masks: outlines as they are, cells by their first row."""
-    from clacad.formats.maps.mask import aperture
-    from clacad.formats.maps.sag import structured_faces
+    from clacad.formats.maps.mask import aperture, masked_faces
 
     total = 0.0
     scale = millimetres(window.unit)
-    for body, face, _ in structured_faces(window):
+    for body, face, _ in masked_faces(window):
         assert face.array is not None
         outline = (aperture(window, body, face) * scale + 0.0).tolist()
         total += sum(len(f"{x!r}{y!r}") for x, y in outline) * 2 + 40 * len(outline) + 1400

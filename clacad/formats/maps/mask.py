@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from clacad.base.polygons import distance_to_rim
 from clacad.base.types import Floats
+from clacad.formats.maps.sag import structured_faces
 from clacad.sheet.edge_columns import RADIUS, SENSE, X0, X1, Y0, Y1
 from clacad.sheet.lattice import Circle
 from clacad.sheet.need_window import need_equal_cells
@@ -29,6 +31,15 @@ from clacad.storage.reading import Spending
 DIRECTIONS = 720
 
 
+def masked_faces(window: Window) -> list[tuple[Body, Face, str]]:
+    """Faces with a mask each: the one that carries an opaque line, or all with lenses."""
+    faces, lined = structured_faces(window), window.land.lined
+    if lined < 0:
+        return faces
+    body = window.bodies[lined // 2]
+    return [one for one in faces if one[1] is (body.back if lined % 2 else body.front)]
+
+
 def aperture(window: Window, body: Body, face: Face) -> Floats:
     """Outline of the lens of one cell, cell frame, counter-clockwise, (n, 2), design units.
 
@@ -38,6 +49,11 @@ def aperture(window: Window, body: Body, face: Face) -> Floats:
     Raises CellsDiffer: The sheet is non-uniform, and there are rims: each would have an outline of its own.
     """
     assert face.array is not None
+    drawn = masked_faces(window)
+    if (
+        window.land.lined >= 0 and len(drawn) == 1 and drawn[0][1] is face
+    ):  # the line is the land of this face
+        return optical_tile(replace(window, land=replace(window.land, seam=window.land.line)), face.array)
     zone = optical_tile(window, face.array)
     if body.front.change is not None or body.back.change is not None:
         _refuse_rims(window, body, face, zone)

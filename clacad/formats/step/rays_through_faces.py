@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Floats, Ints
 from clacad.base.units import millimetres
 from clacad.formats.placements import applied
-from clacad.formats.step.text_health import Scan, casteljau
+from clacad.formats.step.text_health import StepScan, casteljau
 from clacad.optics.surface import refract
 from clacad.sheet.face_order import refractions
 from clacad.sheet.window import Body, Face, Window
@@ -350,7 +350,7 @@ class Cells:
         return self.window.locate(self.array, at[:, 0], at[:, 1])[0]
 
 
-def column_patches(scan: Scan, low: Floats, high: Floats) -> list[PlacedPatch]:
+def column_patches(scan: StepScan, low: Floats, high: Floats) -> list[PlacedPatch]:
     """Patches of all instances whose poles reach into a column low … high (2,) of x and y."""
     found = []
     for group in scan.groups:

@@ -27,7 +27,7 @@ from clacad.formats.step.lens_placements import (
 )
 from clacad.formats.step.lenses_on_cells import lens_facts
 from clacad.formats.step.shape_parts import ShapePart, pieces, whole_box
-from clacad.formats.step.text_health import Scan, heights_of_planes, patch_points, scan_step
+from clacad.formats.step.text_health import StepScan, heights_of_planes, patch_points, scan_step
 from clacad.sheet.window import Window
 from clacad.storage.errors import UnreadableFile
 
@@ -132,7 +132,7 @@ def read_brep(
     return {"bytes": size, "schema": "BREP", "kernel": True} | counts | facts | placement
 
 
-def _text_facts(scan: Scan, window: Window | None, place: SheetPlace | None = None) -> dict[str, Any]:
+def _text_facts(scan: StepScan, window: Window | None, place: SheetPlace | None = None) -> dict[str, Any]:
     """Facts of the text; with a window every lens patch in all its placements is compared with it too."""
     facts: dict[str, Any] = {
         "schema": scan.schema,
@@ -240,7 +240,7 @@ class Loaded:
     pieces: list[ShapePart]
 
 
-def scanned(path: str | os.PathLike[str]) -> Scan:
+def scanned(path: str | os.PathLike[str]) -> StepScan:
     """Scan of the text of a file; the last one is kept for the next call in this process.
 
     Raises UnreadableFile: The file is no STEP file.
@@ -258,7 +258,7 @@ def state_of(path: str | os.PathLike[str]) -> tuple[str, int, int]:
     return (os.fspath(path), found.st_size, found.st_mtime_ns)
 
 
-_SCANNED: dict[tuple[str, int, int], Scan] = {}
+_SCANNED: dict[tuple[str, int, int], StepScan] = {}
 _KEPT: dict[tuple[str, int, int], Loaded] = {}
 
 

@@ -93,7 +93,7 @@ LONGEST = 1 << 28
 
 
 @dataclass
-class Scan:
+class StepScan:
     """Content of the text of a STEP file.
 
     millimetres : Whether all lengths of the file are written in millimetres.
@@ -230,7 +230,7 @@ class _Entities:
         return int(np.count_nonzero(~known[np.minimum(referred, top + 1)]))
 
 
-def scan_step(path: str | os.PathLike[str]) -> Scan:
+def scan_step(path: str | os.PathLike[str]) -> StepScan:
     """Scan a STEP file.
 
     Raises UnreadableFile: The file is no STEP file, is cut short, or holds no face.
@@ -248,9 +248,9 @@ def scan_step(path: str | os.PathLike[str]) -> Scan:
         ) from error
 
 
-def _scanned(path: str | os.PathLike[str]) -> Scan:
+def _scanned(path: str | os.PathLike[str]) -> StepScan:
     """Scan the text of a file once."""
-    scan, found, assembly = Scan(), _Entities(), Assembly()
+    scan, found, assembly = StepScan(), _Entities(), Assembly()
     last = ""
     for statement in _single(path, scan, found):
         last = statement.strip()
@@ -279,7 +279,7 @@ def _scanned(path: str | os.PathLike[str]) -> Scan:
     return scan
 
 
-def _single(path: str | os.PathLike[str], scan: Scan, found: _Entities) -> Iterator[str]:
+def _single(path: str | os.PathLike[str], scan: StepScan, found: _Entities) -> Iterator[str]:
     """Statements that are read one by one: all of a small file, the rare ones of a large one."""
     if os.stat(path).st_size < LARGE:
         return statements(path)
@@ -319,7 +319,7 @@ def _single(path: str | os.PathLike[str], scan: Scan, found: _Entities) -> Itera
     return _cut_up(path, many)
 
 
-def _title(scan: Scan, kind: str, body: str) -> str:
+def _title(scan: StepScan, kind: str, body: str) -> str:
     """Name of a product or solid."""
     if kind not in ("PRODUCT", "MANIFOLD_SOLID_BREP"):
         return ""
@@ -327,7 +327,7 @@ def _title(scan: Scan, kind: str, body: str) -> str:
     return scan.names[-1]
 
 
-def _place(scan: Scan, assembly: Assembly) -> None:
+def _place(scan: StepScan, assembly: Assembly) -> None:
     scan.units = tuple(sorted(assembly.units.every()))
     scan.millimetres = scan.units == (1.0,)
     scan.parts, scan.frames = assembly.standing(scan.points.lookup()), assembly.frames
@@ -338,14 +338,16 @@ def _place(scan: Scan, assembly: Assembly) -> None:
         scan.faces += many * sum(len(scan.shell_faces.get(shell, ())) for shell in part.shells)
 
 
-def _header(scan: Scan, statement: str) -> None:
+def _header(scan: StepScan, statement: str) -> None:
     if statement.startswith("FILE_NAME"):
         scan.name = _STRING.findall(statement)[0]
     elif statement.startswith("FILE_SCHEMA"):
         scan.schema = _STRING.findall(statement)[0]
 
 
-def _collect(scan: Scan, found: _Entities, number: int, kind: str, body: str, references: list[int]) -> None:
+def _collect(
+    scan: StepScan, found: _Entities, number: int, kind: str, body: str, references: list[int]
+) -> None:
     """Process what one entity contains of points, edges, faces and shells."""
     if kind == "CARTESIAN_POINT":
         scan.points.add(number, body)
@@ -390,7 +392,7 @@ def _entities(path: str | os.PathLike[str]) -> Iterator[tuple[int, str, str]]:
             yield int(match.group(1)), match.group(2), _STRING.sub("''", statement[match.end() :])
 
 
-def _surface(scan: Scan, number: int, body: str, references: list[int]) -> None:
+def _surface(scan: StepScan, number: int, body: str, references: list[int]) -> None:
     """Store a patch of second order or more, its poles and weights; others are walls."""
     body = "".join(body.split())
     degrees = re.search(r"B_SPLINE_SURFACE(?:_WITH_KNOTS)?\(\s*(?:''\s*,)?\s*(\d+)\s*,\s*(\d+)", body)
@@ -418,7 +420,7 @@ class Patches:
     poles : (k, m, n, 3), mm, in the frame of their part
     weights : (k, m, n)
     sense : (k,). −1 where the face is oriented against du × dv.
-    part : (k,). Their part, an index into `Scan.parts`.
+    part : (k,). Their part, an index into `StepScan.parts`.
     alone : (k,). Whether the part has one placement.
     first : (k, 3, 4). First placement of the part.
     """
@@ -446,7 +448,7 @@ class Patches:
         return np.flatnonzero(inside | ~self.alone)
 
 
-def _patches_of(scan: Scan) -> list[Patches]:
+def _patches_of(scan: StepScan) -> list[Patches]:
     ids = np.frombuffer(scan.face_ids, dtype=np.int64)
     surfaces = np.frombuffer(scan.face_surfaces, dtype=np.int64)
     order = np.argsort(ids, kind="stable")
@@ -464,7 +466,7 @@ def _patches_of(scan: Scan) -> list[Patches]:
 
 
 def _gathered(
-    scan: Scan, points: Lookup, shape: tuple[int, int], rows: list[tuple[int, float, int]]
+    scan: StepScan, points: Lookup, shape: tuple[int, int], rows: list[tuple[int, float, int]]
 ) -> Patches:
     numbers = np.array([scan.patches[surface][0] for surface, _, _ in rows], dtype=np.int64)
     part = np.array([number for _, _, number in rows], dtype=np.int64)
@@ -477,7 +479,7 @@ def _gathered(
     return Patches(poles, weights, np.array([sense for _, sense, _ in rows]), part, alone, first)
 
 
-def patch_points(scan: Scan, per_side: int = 3) -> LensPoints:
+def patch_points(scan: StepScan, per_side: int = 3) -> LensPoints:
     """Points of the middle of every curved patch, evaluated from the text.
 
     per_side : Points along each parameter, from 0.3 to 0.7.
@@ -495,7 +497,7 @@ def patch_points(scan: Scan, per_side: int = 3) -> LensPoints:
     return LensPoints.joined(found)
 
 
-def heights_of_planes(scan: Scan) -> Iterator[tuple[str, Floats]]:
+def heights_of_planes(scan: StepScan) -> Iterator[tuple[str, Floats]]:
     """Name and heights (n,) of the planes' points, mm, of every part of planes alone or with walls."""
     surfaces = dict(zip(scan.face_ids, scan.face_surfaces))
     planes, points = dict(zip(scan.planes[::2], scan.planes[1::2])), scan.points.lookup()

@@ -163,8 +163,9 @@ def label_points(axes: Any, labels: Sequence[tuple[str, tuple[float, float]]]) -
 
 
 def _drawn_boxes(axes: Any, scale: float) -> list[Box]:
-    """Boxes about the markers and along the lines of a panel, in points; `scale` is points per pixel."""
-    found: list[Box] = []
+    """Boxes about the markers, texts and lines of a panel, in points; `scale` is points per pixel."""
+    extents = [text.get_window_extent().extents * scale for text in axes.texts]
+    found: list[Box] = [(float(a), float(b), float(c), float(d)) for a, b, c, d in extents]
     for line in axes.lines:
         at = line.get_transform().transform(line.get_xydata()) * scale
         half = DOT if line.get_linestyle() == "None" else THIN

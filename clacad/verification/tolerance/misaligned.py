@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import dist
 from statistics import NormalDist
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 from zlib import crc32
 
 import numpy as np
@@ -24,13 +24,14 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.sequence import Interface, trace_sequence
-from clacad.optics.surface import Surface, resized
+from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface, resized
 from clacad.sheet.face_order import plates_of, refractions
 from clacad.sheet.feasibility import thicker
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, in_optical_tile
 
 if TYPE_CHECKING:
+    from clacad.base.units import A4, A6, A8
     from clacad.design import Design
 
 
@@ -178,7 +179,25 @@ def _face_as_made(face: Face, part: str | None, errors: Errors) -> Face:
     )
     x, y, z = (place + step for place, step in zip(face.vertex, alone, strict=True))
     larger = errors.get(f"radius.{part}", 0.0) + errors.get(f"scatter_radius.{part}", 0.0)
-    return replace(face, surface=grown(face.surface, larger), vertex=(x, y, z))
+    surface = flattened(grown(face.surface, larger), errors.get("shrinkage", 0.0))
+    return replace(face, surface=surface, vertex=(x, y, z))
+
+
+def flattened(surface: Surface, part: float) -> Surface:
+    """The surface with heights lower by a relative `part` p: R' = R/(1 − p), 1 + K' = (1 + K)/(1 − p)²."""
+    if part == 0.0:
+        return surface
+    low = 1.0 - part
+    cx, cy = surface.curvature_x * low, surface.curvature_y * low
+    if isinstance(surface, Quadric):
+        return Quadric(cx, cy, surface.kappa / low, surface.side)
+    conics = [(1.0 + one) / low**2 - 1.0 for one in (surface.conic_x, surface.conic_y)]
+    if isinstance(surface, Biconic):
+        return Biconic(cx, cy, conics[0], conics[1], surface.side)
+    a4 = tuple(low * term for term in surface.a4)
+    a6, a8 = tuple(low * term for term in surface.a6), tuple(low * term for term in surface.a8)
+    terms = (cast("A4", a4), surface.side, cast("A6", a6), cast("A8", a8))
+    return EvenPolynomial(cx, cy, conics[0], conics[1], *terms)
 
 
 def _thicker_outside(body: Body, change: float, number: int) -> Body:
@@ -321,6 +340,7 @@ def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
     ]
     found += [Parameter(f"tilt.{axis}", "tilt", spec.tilt, "rad") for axis in "xy"]
     found.append(Parameter("roughness", "roughness", spec.roughness, unit, one_sided=True))
+    found.append(Parameter("shrinkage", "shrinkage", spec.shrinkage, ""))
     found += _play(design)
     found += _scatter(design, window)
     return tuple(p for p in found if p.half > 0.0)
