@@ -16,6 +16,7 @@ from clacad.cli.console import Console, table
 from clacad.cli.option_values import BadOption, load_counted, parse_angle, picture_kind, words_of
 
 if TYPE_CHECKING:
+    from clacad.design import Design
     from clacad.paper.make_atlas import Atlas
     from clacad.verification.accuracy.accuracy_table import AccuracyRow, AccuracyTable
     from clacad.verification.accuracy.choose_setting import FileWithin
@@ -39,6 +40,11 @@ class Accuracy(Overridden):
         "Print the stability table instead: named hard cases, error of textbook formulas and of clacad in"
         " ulp.",
     )
+    maps: bool = flag(
+        "--maps",
+        "Print what height maps of a made part would give instead: error of law rms and seconds against"
+        " pixel and noise, and under hard conditions.",
+    )
     overwrite: bool = overwrite_option()
 
 
@@ -49,6 +55,8 @@ def run_accuracy(request: Accuracy, console: Console) -> int:
     if request.design is None:
         raise BadOption("a DESIGN file is needed, unless --hard is given")
     design = load_counted(request.design, request.set)
+    if request.maps:
+        return _show_maps(design, console)
     from clacad.prescription.prescribe import prescribe
     from clacad.storage.atomic import require_writable
     from clacad.tracing.worst_cell import worst_cell
@@ -101,6 +109,21 @@ def _show_hard(console: Console) -> int:
         lambda: as_dict(rows), lambda: as_text(rows), lambda: Brief(f"hard cases: {word}", (worst,), (), word)
     )
     return 0 if all(row.holds for row in rows) else 1
+
+
+def _show_maps(design: Design, console: Console) -> int:
+    """Measure height maps of a perfect front, one for each condition."""
+    from clacad.measuring.map_accuracy import as_lines, map_accuracy
+
+    with console.progress() as progress:
+        rows = map_accuracy(design, progress=progress)
+    title = f"{design.name}: height maps of a perfect front, errors in mrad"
+    console.show(
+        lambda: {"design": design.name, "maps": [row.to_dict() for row in rows]},
+        lambda: "\n".join([title, table(as_lines(rows))]),
+        lambda: Brief(title, (facts(as_lines(rows)),), (), title),
+    )
+    return 0
 
 
 def _document(request: Accuracy, measured: AccuracyTable, files: Sequence[FileWithin]) -> dict[str, Any]:

@@ -96,6 +96,11 @@ def _show(judged: Judged, forecast: list[dict[str, Any]], console: Console) -> N
     from clacad.sheet.feasibility import describe
 
     show_text(check_text(judged.design.name, describe(judged.window, judged.facts), judged.checks, forecast))
+    from clacad.measuring.measured import iso_rows_of_design
+
+    terms = iso_rows_of_design(judged.design, judged.window)
+    if terms:
+        show_text(table([("in the terms of ISO 14880", "unit", "design"), *terms]))
     advice = advice_text(_advised(judged, console))
     if judged.made is not None:
         rows = table(
@@ -231,7 +236,11 @@ def _file(row: dict[str, Any]) -> str:
 
 
 def _document(judged: Judged, forecast: list[dict[str, Any]], advice: Advice) -> dict[str, Any]:
-    return judged.to_dict() | {"forecast": forecast, "advice": advice.to_dict()}
+    from clacad.measuring.measured import iso_rows_of_design
+
+    rows = iso_rows_of_design(judged.design, judged.window)
+    terms = [dict(zip(("name", "unit", "design"), row, strict=True)) for row in rows]
+    return judged.to_dict() | {"forecast": forecast, "advice": advice.to_dict(), "iso_14880": terms}
 
 
 def _fix(request: CheckDesign, console: Console) -> int:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesignAsMade, declared, flag, option
 from clacad.cli.console import Console, Progress, table
-from clacad.cli.option_values import BadOption, load_counted, parse_angle, parse_cells, per_format
+from clacad.cli.option_values import BadOption, load_counted, parse_angle, parse_cell, parse_cells, per_format
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -49,6 +49,9 @@ class Verify(OfDesignAsMade):
     lateral_scale: str | None = option("--lateral-scale TEXT", "Lateral scale of a map.")
     tilted: Path | None = option(
         "--tilted MAP", "A map of the same field tilted by 8 deg: gives the z scale."
+    )
+    cell: tuple[int, int] | None = option(
+        "--cell I,J", "Cell of the sheet nearest to the middle of the map.", read=parse_cell
     )
     unit: str | None = option("--unit WORD", "Length unit of a cloud x y z that states none, e.g. um.")
 
@@ -108,7 +111,14 @@ def _announced(
 def _maps(request: Verify) -> Maps | None:
     """The height maps of a measured part among the files; None where they are files of another kind."""
     files = [] if request.files is None else [request.files, *request.also]
-    stated = [request.z_scale, request.lateral_scale, request.tilted, request.unit, *request.side]
+    stated = [
+        request.z_scale,
+        request.lateral_scale,
+        request.tilted,
+        request.unit,
+        request.cell,
+        *request.side,
+    ]
     scan = per_format("--role", request.role) == "scan"
     only = any(one is not None for one in stated) or len(files) > 1
     if not files or not (scan or only):
@@ -129,7 +139,9 @@ def _maps(request: Verify) -> Maps | None:
     sides = per_format("--side", request.side) or {}
     if isinstance(sides, str):
         raise BadOption(f"--side {sides}: it is FILE=front or FILE=back")
-    given = Maps(None, None, request.tilted, request.z_scale, request.lateral_scale, request.unit)
+    given = Maps(
+        None, None, request.tilted, request.z_scale, request.lateral_scale, request.unit, request.cell
+    )
     return maps_of(files, sides, given)
 
 
@@ -180,7 +192,7 @@ def _measured(report: Report, out: Path, overwrite: bool) -> list[Path]:
     """Numbers, table and deviation maps of a part measured by height maps."""
     if report.measured is None:
         return []
-    from clacad.measuring.write_measured import write_measured
+    from clacad.measuring.measured import write_measured
 
     return write_measured(report.measured, out, overwrite=overwrite)
 

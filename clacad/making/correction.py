@@ -29,10 +29,10 @@ from clacad.measuring.find_lattice import Found
 from clacad.measuring.fit_lenslets import Aperture, fit_heights, legendre, pooled_form, shrunk
 from clacad.measuring.light_through_form import law_rms_of_form
 from clacad.measuring.measure import Maps, fitted_sides
+from clacad.measuring.measured import NUMBERS
 from clacad.measuring.read_map import MeasuredMap, read_map
 from clacad.measuring.scales import HEIGHTS, Scale, Stated
 from clacad.measuring.sides import Name, Side, sides_of
-from clacad.measuring.write_measured import NUMBERS
 from clacad.prescription.prescribe import prescribe
 from clacad.storage.atomic import canonical_json, write_set
 from clacad.storage.errors import BadRequest

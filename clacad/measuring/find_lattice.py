@@ -51,10 +51,12 @@ class Found:
 
     origin : (2,) lengths. Centre of the cell nearest to the middle of the map.
     basis : (2, 2) lengths. Columns: steps to the next cell along i and along j.
+    turn : radians. By which the step i of the design's lattice is turned in the axes of its cells.
     """
 
     origin: Floats
     basis: Floats
+    turn: float = 0.0
 
     def index(self, x: Floats, y: Floats) -> Floats:
         """Coordinates (2, n) of places in steps of the lattice, not rounded."""
@@ -109,7 +111,7 @@ def find_lattice(
         )
     origin = basis @ (np.angle(phase) / (-2.0 * pi))
     nearest = np.rint(np.linalg.inv(basis) @ origin)
-    return Found(origin - basis @ nearest, basis)
+    return Found(origin - basis @ nearest, basis, design.turn)
 
 
 def _harmonics(design: Pattern, waves: Floats, lenslet: Callable[[Floats, Floats], Floats]) -> NDArrayComplex:
@@ -253,6 +255,5 @@ def _refuse_period(measured: MeasuredMap, basis: Floats, design: Pattern) -> Non
             f"{measured.name}: lenslets every {got[0]:.5g} and {got[1]:.5g}, by the design every"
             f" {wanted[0]:.5g} and"
             f" {wanted[1]:.5g}: {100.0 * off[worst]:+.3g} %, and {100.0 * OFF:g} % is the most:"
-            f" another part, or"
-            " another lateral scale"
+            f" another part, another lateral scale, or pieces that are bonded with a gap"
         )

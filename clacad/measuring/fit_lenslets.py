@@ -8,15 +8,15 @@ Distances beyond
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
-from clacad.measuring.find_lattice import Found, NotMeasurable, find_lattice
+from clacad.measuring.find_lattice import Found, NDArrayComplex, NotMeasurable, find_lattice
 from clacad.measuring.read_map import MeasuredMap
-from clacad.sheet.pattern import Pattern
+from clacad.sheet.pattern import Pattern, Step
 
 MARGIN = 0.01
 """Width (mm) of the strip inside each border of a cell that is not fitted, at most a tenth of the pitch."""
@@ -29,24 +29,28 @@ DEGREE, COARSE_DEGREE = 8, 4
 """Degree of the Legendre polynomials of the form that is left by the fit; that of coarse maps."""
 
 PRIOR = 1.0
-"""Weight of the expectation that a polynomial has the coefficient 0, in points: it decides only where none
-is."""
+"""Weight, in points, of the expectation that a polynomial of the form beyond the conic has the coefficient 0:
+such form is expected to be of the size of the noise of one point. It decides only where no points are."""
 
 FINE = 24
 """Pixels across an aperture from which a map is not coarse."""
 
 NAMES = ("x", "y", "z", "curvature", "conic", "astigmatism", "astigmatism_45")
 TILES = 10
-"""Parts of an aperture along each side, whose errors are taken as independent."""
-
-WIDER = 1.4
-"""Factor of standard deviations: errors of neighbouring parts are not independent."""
+"""Parts of an aperture along each side, at most, most of which must hold points."""
 
 BLOCKS = 48
 """Block means over an aperture along each side, at most: 10 µm of a pitch of .5 mm."""
 
-STEEP = 0.05
-"""Tilt (radians) from which lateral errors of the instrument rule the uncertainty of heights."""
+LENS = (0.5, 2.0)
+"""Range of the curvature of a lenslet over that of the design's; others are land, dirt, or another thing."""
+
+NEAR = (3, 4)
+"""Degrees of the polynomials next to those of radius and conic constant (2 and 4)."""
+
+GUARD = 1.2
+"""Factor by which standard deviations are stated larger than the noise of a lenslet gives them: they are
+known to some per cent only, and twice them must hold 95 % of few lenslets, too."""
 
 THIN = 2500
 """Points of a lenslet of the first fit."""
@@ -71,6 +75,14 @@ class Aperture:
         for (nx, ny), reach in zip(self.normals, self.reach, strict=True):
             inside &= nx * u + ny * v <= reach
         return inside
+
+    def grid(self, count: int) -> Floats:
+        """Middles (2, n) of those of count × count parts of the bounding box that lie in the aperture."""
+        line = (np.arange(count) + 0.5) / count * 2.0 - 1.0
+        places = np.stack(
+            [one.ravel() for one in np.meshgrid(*(line * half for half in self.half), indexing="ij")]
+        )
+        return np.asarray(places[:, self.holds(*places)])
 
 
 def aperture_of(design: Pattern, millimetre: float) -> Aperture:
@@ -100,6 +112,7 @@ class Lenslets:
     level : (3, 3). Rotation of the map that makes the plane of the apexes level.
     plane : (3,) What is left of the plane once the map is turned: its height at the middle and slopes.
     aperture : Aperture
+    empty : (k, 2) ints. Cells in the map that hold no lenslet: no points, or another surface.
     """
 
     index: Ints
@@ -112,6 +125,7 @@ class Lenslets:
     level: Floats
     plane: Floats
     aperture: Aperture
+    empty: Ints
 
     @property
     def u(self) -> Floats:
@@ -203,7 +217,9 @@ class _Grid:
     inside : (blocks,) Those whose middle lies in the aperture.
     places : (2, k) lengths. Middles of those inside.
     basis : (k, c). Legendre polynomials there.
-    tiles : (k,) ints. Part of the aperture of each.
+    inverse : (c, k). Coefficients of heights there, by least squares.
+    waves : (w, k) complex. Waves shorter than the polynomials, down to half as long, by which noise is found.
+    power : Sum of the squares of their coefficients of white noise of rms 1, less fitted polynomials.
     """
 
     aperture: Aperture
@@ -211,11 +227,25 @@ class _Grid:
     inside: Ints
     places: Floats
     basis: Floats
-    tiles: Ints
+    inverse: Floats
+    waves: NDArrayComplex
+    power: float
 
     def block(self, u: Floats, v: Floats) -> Ints:
         """Block (n,) of each place."""
         return _part(u, v, self.aperture, self.side)
+
+    def noise(self, weight: Floats, rest: Floats) -> float:
+        """Variance of a single point, as far as it reaches the numbers of a lenslet.
+
+        Of noise that is not white only long waves reach them. Those of the polynomials are gone from what the
+        fit leaves; the next shorter ones are taken for them.
+
+        weight, rest : (k,) Points of each block, and mean of what the fit leaves of them.
+        """
+        used = float((weight > 0.0).sum())
+        found = np.abs(self.waves @ (np.sqrt(weight) * rest)) ** 2
+        return float(found.sum()) / (self.power * used / len(weight))
 
 
 def _grid(aperture: Aperture, pixel: float) -> _Grid:
@@ -229,8 +259,20 @@ def _grid(aperture: Aperture, pixel: float) -> _Grid:
     places = np.stack([gx[inside], gy[inside]])
     scaled = places / aperture.half[:, None]
     basis = legendre(scaled[0], scaled[1], (degree + 1) * (degree + 2) // 2)
-    tiles = _part(places[0], places[1], aperture, min(TILES, max(3, side // 2)))
-    return _Grid(aperture, side, inside, places, basis, tiles)
+    waves = _waves(scaled, 0.5 * (degree + 1), 0.5 * (side - 1))
+    fitted = np.linalg.qr(basis)[0]
+    power = waves.shape[0] * waves.shape[1] - float((np.abs(waves @ fitted) ** 2).sum())
+    inverse = np.asarray(np.linalg.pinv(basis), dtype=np.float64)
+    return _Grid(aperture, side, inside, places, basis, inverse, waves, power)
+
+
+def _waves(scaled: Floats, longest: float, shortest: float) -> NDArrayComplex:
+    """Waves (w, k) at places (2, k) in [−1, 1], of `longest` cycles and at most twice as many."""
+    most = int(min(2.0 * longest, shortest))
+    cycles = np.array([(i, j) for i in range(most + 1) for j in range(-most, most + 1) if i > 0 or j > 0])
+    length = np.hypot(*cycles.T)
+    kept = cycles[(length > longest) & (length <= max(2.0 * longest, length.min()))]
+    return np.asarray(np.exp(1j * np.pi * (kept if len(kept) else cycles) @ scaled))
 
 
 def _part(u: Floats, v: Floats, aperture: Aperture, side: int) -> Ints:
@@ -242,42 +284,93 @@ def _part(u: Floats, v: Floats, aperture: Aperture, side: int) -> Ints:
     return np.asarray(at[0] * side + at[1])
 
 
-def fit_lenslets(measured: MeasuredMap, design: Pattern, aperture: Aperture, start: Floats) -> Lenslets:
+Targets = Callable[[Ints], Floats]
+"""Steps (m, 2) of the map's lattice → numbers (m, 7) of the design's lenslets there, in the axes of their
+cells."""
+
+
+def fit_lenslets(measured: MeasuredMap, design: Pattern, aperture: Aperture, targets: Targets) -> Lenslets:
     """Find and fit every whole lenslet of a map.
 
     measured : lengths in design units
-    design : Cells of the face.
-    start : (7,) numbers of the design's lenslet, its middle at 0.
+    design : Cells of the face, in the axes of a map.
     Raises NotMeasurable: As `find_lattice`; or no whole lenslet.
     """
     level, points = _levelled(measured.points, plane_of(measured.points))
+    start = targets(np.zeros((1, 2), dtype=np.int64))[0]
     found = find_lattice(
         replace(measured, points=points), design, lambda u, v: conic(start, u, v, slopes=False)[0]
     )
     grid = _grid(aperture, max(measured.pixel))
-    for last in (False, True):
+    alike = np.ptp(targets(np.array([[0, 0], [1, 0], [0, 1]])), axis=0).any() == 0
+    for last in (False, True) if alike else (False, False, True):  # middles of cells follow from lenses
         cells, groups = _grouped(points, found, aperture, grid)
-        if not cells:
+        wanted = targets(np.array(cells, dtype=np.int64).reshape(-1, 2))
+        fits = [_fitted(group, one, grid, last) for group, one in zip(groups, wanted, strict=True)]
+        kept = [k for k, one in enumerate(fits) if _is_lens(one.values, wanted[k], aperture)]
+        if not kept:
             raise NotMeasurable(
                 f"{measured.name}: no whole lenslet: a cell is whole where its measured aperture"
-                f" lies in the map and"
-                f" {100 * PRESENT:g} % of its parts hold points"
+                f" lies in the map and {100 * PRESENT:g} % of its parts hold points"
             )
-        fits = [_fitted(group, start, grid, last) for group in groups]
-        index, values = np.array(cells), np.array([one.values for one in fits])
-        found, plane, values = _placed(found, index, values)
+        fits = [fits[k] for k in kept]
+        index, values = np.array(cells)[kept], np.array([one.values for one in fits])
+        found, plane, values = _placed(found, index, values, wanted[kept])
         if not last:
             turn, points = _levelled(points, plane[1:])
             level = turn @ level
-    wider = 1.0 + float(level[0, 2] ** 2 + level[1, 2] ** 2) / STEEP**2
-    for one in fits:  # lateral errors of the instrument enter the heights of a tilted specimen
-        one.covariance[:] *= wider
-        one.u_form[:] *= np.sqrt(wider)
     stacked = [
         np.array([getattr(one, name) for one in fits]) for name in ("covariance", "form", "u_form", "texture")
     ]
     covariance, form, u_form, texture = stacked
-    return Lenslets(index, values, covariance, form, u_form, texture, found, level, plane, aperture)
+    empty = _empty(measured, level, found, aperture, cells, index)
+    wider = _scatter(form, u_form)
+    u_form = u_form * np.sqrt(wider)
+    least = shrunk(form, u_form)
+    return Lenslets(
+        index, values, covariance * wider, least, u_form, texture, found, level, plane, aperture, empty
+    )
+
+
+def _scatter(form: Floats, u_form: Floats) -> float:
+    """Factor of variances by which forms (m, k) of like degrees as the conic differ between lenslets.
+
+    Form that all lenslets have in common is that of their tool. By as much as it differs from one to the
+    other the conics may be in error, too: by texture of long waves, or errors of the instrument on slopes.
+    """
+    near = slice(NEAR[0] * (NEAR[0] + 1) // 2, (NEAR[1] + 1) * (NEAR[1] + 2) // 2)
+    count = len(form)
+    off = form[:, near] - (form[:, near].mean(axis=0) if count > 1 else 0.0)
+    square = np.mean(off**2 / np.maximum(u_form[:, near] ** 2, 1e-300), axis=1) * count / max(1, count - 1)
+    return GUARD**2 * max(1.0, float(np.median(square)))
+
+
+def _empty(
+    measured: MeasuredMap, level: Floats, found: Found, aperture: Aperture, seen: Sequence[Step], index: Ints
+) -> Ints:
+    """Cells (k, 2) whose apertures lie in a map, and which hold no points, or no lenslet but points enough.
+
+    seen : Cells with points enough for a fit; index : (m, 2) those of them that are lenslets.
+    """
+    size = 0.5 * np.array(measured.shape[::-1]) * measured.pixel
+    reach = int(np.hypot(*size) / np.hypot(*found.basis).min()) + 1
+    every = np.stack(np.meshgrid(*(np.arange(-reach, reach + 1),) * 2), axis=-1).reshape(-1, 2)
+    corners = _axes(found) @ (aperture.half[:, None] * [[-1, -1, 1, 1], [-1, 1, -1, 1]])
+    at = found.centres(every)[:, :, None] + corners
+    flat = np.einsum("ik,mkc->mic", level.T[:2, :2], at)
+    every = every[(np.abs(flat) <= size[:, None]).all(axis=(1, 2))]
+    x, y = (level @ measured.points)[:2]
+    cell = np.rint(found.index(x, y)).astype(np.int64).T
+    touched = set(map(tuple, np.unique(cell, axis=0).tolist()))
+    lenses, fitted = set(map(tuple, index.tolist())), set(seen)
+    bare = [tuple(one) not in touched or (tuple(one) in fitted - lenses) for one in every.tolist()]
+    return np.asarray(every[np.array(bare, dtype=bool)])
+
+
+def _is_lens(values: Floats, wanted: Floats, aperture: Aperture) -> bool:
+    """Whether fitted numbers are those of a lenslet of the design: its curvature, and its middle."""
+    off = np.abs(values[:2] - wanted[:2]) / aperture.half
+    return bool(LENS[0] <= values[3] / wanted[3] <= LENS[1] and off.max() <= 0.5)
 
 
 def plane_of(points: Floats) -> Floats:
@@ -334,8 +427,10 @@ def _grouped(
 
 
 def _axes(found: Found) -> Floats:
-    """Axes of the cells, columns, in those of the map: along the step i, and across it."""
+    """Axes of the cells, columns, in those of the map: along the step i, less the turn of the design's."""
     x, y = found.basis[:, 0] / np.hypot(*found.basis[:, 0])
+    c, s = np.cos(found.turn), np.sin(found.turn)
+    x, y = c * x + s * y, c * y - s * x
     return np.array([[x, -y], [y, x]])
 
 
@@ -378,18 +473,19 @@ def _fitted(table: Floats, start: Floats, grid: _Grid, last: bool) -> _Fit:
     smooth[grid.inside] = grid.basis @ form
     kept = _near(off - smooth[block])
     form, square, weight, mean = _form(off, block, kept, grid)
-    # what the conic has of the form, over the whole aperture alike: lost points leave no trace
     slopes = conic(values, *grid.places)[1]
-    share = np.linalg.lstsq(slopes, grid.basis, rcond=None)[0]
-    values = values + share @ form
-    smooth[grid.inside] = grid.basis @ form
-    rest = mean - grid.basis @ form
-    covariance = _sandwich(grid, square, weight, rest)
-    own = np.eye(len(form)) - np.linalg.lstsq(grid.basis, slopes, rcond=None)[0] @ share
-    form, of_form = own @ form, own @ covariance @ own.T
+    straight, best = _least_squares(slopes, weight, mean)
+    # the aperture as a whole counts, not the points that were not lost: of both the form is weighed alike
+    share = _least_squares(slopes, np.ones(len(weight)), mean)[1] @ grid.basis
+    own = np.eye(len(form)) - grid.inverse @ slopes @ share
+    spread = grid.noise(weight, mean - grid.basis @ form)
+    of_form = own @ np.linalg.inv(square) @ own.T * spread
     u_form = np.sqrt(np.maximum(np.diag(of_form), 0.0))
+    fitted, form = form, own @ form
+    values = values + straight - best @ (grid.basis @ shrunk(form, u_form))
+    smooth[grid.inside] = grid.basis @ form + slopes @ (share @ fitted)
     texture = float(np.sqrt(np.mean((off - smooth[block])[kept] ** 2)))
-    return _Fit(values, share @ covariance @ share.T, shrunk(form, u_form), u_form, texture)
+    return _Fit(values, best / np.maximum(weight, 1e-300) @ best.T * spread, form, u_form, texture)
 
 
 def pooled_form(u: Floats, v: Floats, off: Floats, aperture: Aperture, pixel: float) -> tuple[Floats, Floats]:
@@ -408,7 +504,7 @@ def pooled_form(u: Floats, v: Floats, off: Floats, aperture: Aperture, pixel: fl
     for _ in range(2):
         smooth[grid.inside] = grid.basis @ form
         form, square, weight, mean = _form(off, block, _near(off - smooth[block]), grid)
-    covariance = _sandwich(grid, square, weight, mean - grid.basis @ form)
+    covariance = np.linalg.inv(square) * (GUARD**2 * grid.noise(weight, mean - grid.basis @ form))
     return form, np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
@@ -417,16 +513,25 @@ def shrunk(form: Floats, u_form: Floats) -> Floats:
     return np.asarray(form * np.maximum(0.0, 1.0 - u_form**2 / np.maximum(form**2, 1e-300)))
 
 
-def fit_heights(aperture: Aperture, heights: Callable[[Floats, Floats], Floats], start: Floats) -> Floats:
+def _least_squares(slopes: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floats]:
+    """Weighted least squares: the solution (7,), and the matrix (7, k) that gives it of heights (k,)."""
+    size = np.sqrt(np.mean(slopes**2, axis=0))
+    scaled = slopes / np.where(size > 0.0, size, 1.0)
+    weighted = (scaled * weight[:, None]).T
+    best = np.linalg.lstsq(weighted @ scaled, weighted, rcond=1e-13)[0]
+    best = best / np.where(size > 0.0, size, 1.0)[:, None]
+    return best @ mean, best
+
+
+def fit_heights(
+    aperture: Aperture, heights: Callable[[Floats, Floats], Floats], start: Floats, rounds: int = 12
+) -> Floats:
     """Numbers (7,) of a lenslet whose heights over places are known, by the same least squares.
 
     start : (7,) numbers near them.
     """
-    line = (np.arange(BLOCKS) + 0.5) / BLOCKS * 2.0 - 1.0
-    u, v = (one.ravel() for one in np.meshgrid(*(line * half for half in aperture.half), indexing="ij"))
-    inside = aperture.holds(u, v)
-    u, v = u[inside], v[inside]
-    return _solved(start, u, v, heights(u, v), 12)
+    u, v = aperture.grid(BLOCKS)
+    return _solved(start, u, v, heights(u, v), rounds)
 
 
 def _form(off: Floats, block: Ints, kept: Bools, grid: _Grid) -> tuple[Floats, Floats, Floats, Floats]:
@@ -462,33 +567,22 @@ def _near(off: Floats) -> Bools:
     return np.asarray(np.abs(off - middle) <= CLIPPED * max(1.4826 * spread, 1e-300))
 
 
-def _sandwich(grid: _Grid, square: Floats, weight: Floats, rest: Floats) -> Floats:
-    """Covariance of weighted least squares whose errors are alike within a part of the aperture."""
-    count = int(grid.tiles.max()) + 1
-    scores = np.zeros((count, len(square)))
-    np.add.at(scores, grid.tiles, grid.basis * (weight * rest)[:, None])
-    inverse = np.linalg.inv(square)
-    used = len(np.unique(grid.tiles[weight > 0.0]))
-    free = max(2.0, used - 0.5 * len(square))
-    clustered = inverse @ (scores.T @ scores) @ inverse * (WIDER**2 * used / free)
-    spread = float(np.sum(weight * rest**2)) / max(1.0, float((weight > 0.0).sum()) - len(square))
-    white = inverse * (WIDER**2 * spread)
-    larger = np.sqrt(np.maximum(1.0, np.diag(white) / np.maximum(np.diag(clustered), 1e-300)))
-    return np.asarray(clustered * larger * larger[:, None])
+def _placed(found: Found, index: Ints, values: Floats, wanted: Floats) -> tuple[Found, Floats, Floats]:
+    """Lattice of the cells and plane (3,) of their apexes, and the numbers of lenslets about both.
 
-
-def _placed(found: Found, index: Ints, values: Floats) -> tuple[Found, Floats, Floats]:
-    """Lattice of the fitted middles, plane (3,) of the apexes, and the numbers about both."""
+    The cells lie where the lenslets would be as far from their middles and planes as those of the design.
+    """
     middles = found.centres(index) + values[:, :2] @ _axes(found).T
+    centres = middles - wanted[:, :2] @ _axes(found).T
     design = np.column_stack([np.ones(len(index)), index])
-    solved = np.linalg.lstsq(design, middles, rcond=None)[0]
+    solved = np.linalg.lstsq(design, centres, rcond=None)[0]
     if np.linalg.matrix_rank(design) < 3:  # cells in one row: the steps across it are those of the maxima
-        solved = np.vstack([(middles - index @ found.basis.T).mean(axis=0), found.basis.T])
-    lattice = Found(solved[0], np.asarray(solved[1:].T))
+        solved = np.vstack([(centres - index @ found.basis.T).mean(axis=0), found.basis.T])
+    lattice = replace(found, origin=solved[0], basis=np.asarray(solved[1:].T))
     plane = np.column_stack([np.ones(len(index)), middles])
     if np.linalg.matrix_rank(plane) < 3:
         plane[:, 1:] = 0.0
-    slopes = np.linalg.lstsq(plane, values[:, 2], rcond=None)[0]
+    slopes = np.linalg.lstsq(plane, values[:, 2] - wanted[:, 2], rcond=None)[0]
     moved = values.copy()
     moved[:, :2] = (middles - lattice.centres(index)) @ _axes(lattice)
     moved[:, 2] = values[:, 2] - plane @ slopes

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from clacad.base.types import Bools, Floats, Ints
 from clacad.measuring.fit_lenslets import CLIPPED, Lenslets, conic
 from clacad.measuring.light_through_form import MeasuredSide, parts_of
 from clacad.measuring.read_map import MeasuredMap
-from clacad.measuring.sides import Side
+from clacad.measuring.sides import ShownCells
 
 BINS = 128
 """Most parts of a cell along each side that are formed or not."""
@@ -48,20 +49,32 @@ class Surface:
         """The fitted lenslets."""
         return self.lit.lenslets
 
+    @cached_property
+    def targets(self) -> Floats:
+        """Numbers (m, 7) of the design's lenslets, each of its own cell."""
+        return self.lit.side.numbers(self.lit.cells.of(self.lenslets.index))
+
+    @property
+    def radius(self) -> float:
+        """Mean radius (length) of the design's lenslets."""
+        return 1.0 / float(self.targets[:, 3].mean())
+
     @property
     def texture(self) -> float:
         """Rms (length) of the texture of all lenslets."""
         return float(np.sqrt(np.mean(self.sq**2)))
 
 
-def surface_of(measured: MeasuredMap, side: Side, lenslets: Lenslets, u_scale: float) -> Surface:
+def surface_of(measured: MeasuredMap, cells: ShownCells, lenslets: Lenslets, u_scale: float) -> Surface:
     """Separate formed surface from seams and texture, point by point.
 
     u_scale : Half width of the relative uncertainty of heights.
     """
+    side = cells.side
     bounds = np.abs(side.lattice.tile()).max(axis=0)
     number, (u, v, z) = lenslets.placed(measured.points)
-    target = side.target(u, v)
+    own = cells.of(lenslets.index)
+    target = side.heights(None, u, v) if side.alike else np.zeros(z.shape)
     off = np.full(z.shape, np.nan)
     across = 2.0 * float(bounds.min()) / (1.5 * max(measured.pixel))
     bins = int(np.clip(across, 8, BINS))
@@ -72,6 +85,8 @@ def surface_of(measured: MeasuredMap, side: Side, lenslets: Lenslets, u_scale: f
     sq = np.zeros((2, len(lenslets.index)))
     for k in range(len(lenslets.index)):
         mine = order[ends[k] : ends[k + 1]]
+        if not side.alike:
+            target[mine] = side.heights(own[k], u[mine], v[mine])
         rest = z[mine] - _form(lenslets, k, u[mine], v[mine], bounds)
         off[mine] = rest
         inner = lenslets.aperture.holds(u[mine], v[mine])
@@ -83,7 +98,7 @@ def surface_of(measured: MeasuredMap, side: Side, lenslets: Lenslets, u_scale: f
     table = np.full(measured.shape, np.nan)
     held = number >= 0
     table[row[held], column[held]] = (z - target)[held]
-    lit = MeasuredSide(side, lenslets, formed, bounds, u_scale)
+    lit = MeasuredSide(cells, lenslets, formed, bounds, u_scale)
     return Surface(measured, lit, sq[0], sq[1], table, float(np.sqrt(np.mean(lenslets.texture**2))))
 
 

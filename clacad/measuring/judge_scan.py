@@ -49,7 +49,26 @@ def scan_checks(of: Scanned) -> tuple[Check, ...]:
     found = [_light(of), _seam(of)]
     for name, one in of.sides.items():
         found += [_pitch(of, name, one), _radius(of, name, one), _form(of, name, one)]
+    unsure = _unknown_cells(of)
+    if unsure and any(check.state != "pass" for check in found):
+        found = [check if check.state == "pass" else _undecided(check, unsure) for check in found]
     return tuple(replace(check, subject=subject) for check in found)
+
+
+def _unknown_cells(of: Scanned) -> str:
+    """Words where lenses are not alike, and which of them a map shows is only assumed; else ""."""
+    for one in of.sides.values():
+        if not one.lit.side.alike and "assumed" in one.lit.cells.known:
+            return (
+                f"which cells the map shows is not known, taken as {one.lit.cells} (--cell, or map an edge)"
+            )
+    return ""
+
+
+def _undecided(check: Check, why: str) -> Check:
+    """A check whose answer depends on the cells that the map shows."""
+    detail = {**check.detail, CANNOT_SAY: why}
+    return replace(check, state="not run", sentence=f"cannot say: {check.sentence}; {why}", detail=detail)
 
 
 def _light(of: Scanned) -> Check:
@@ -114,12 +133,17 @@ def _pitch(of: Scanned, name: Name, one: Surface) -> Check:
     off = np.array(lens.pitch) / wanted - 1.0
     worst = float(off[np.argmax(np.abs(off))])
     text = f"{name}: pitch {lens.pitch[0]:.7g} and {lens.pitch[1]:.7g}, {worst:+.2g} of the design's"
-    if abs(worst) > PITCH:
+    step, bond = _bond(one)
+    if abs(worst) > PITCH and not step:
         same = np.ptp(off) < 0.1 * abs(worst)
         what = "shrinkage" if worst < 0.0 else "swelling"
         text += f": {what} of the part, or another lateral scale" if same else ": other along x than along y"
     turn = lens.pose[0]
-    text += f"; turned by {np.degrees(turn):.3g} deg in its map" if abs(turn) > SKEWED else ""
+    if abs(turn) > SKEWED:
+        text += f"; the array is rotated by {np.degrees(turn):.3g} deg in its map"
+    text += bond
+    if step > PITCH * float(wanted.min()):
+        return SCAN_PITCH.check("fail", text, step / float(wanted.min()), PITCH)
     limit, doubt = PITCH, of.lateral_scale.half
     if abs(worst) - doubt > limit or abs(worst) + doubt <= limit:
         return SCAN_PITCH.judge(abs(worst), limit, text)
@@ -127,31 +151,74 @@ def _pitch(of: Scanned, name: Name, one: Surface) -> Check:
     return _open(SCAN_PITCH, abs(worst), limit, text, why, {})
 
 
+CLEAR = 6.0
+"""Step of a lattice over its standard deviation from which it is a bond of two pieces."""
+
+
+def _bond(one: Surface) -> tuple[float, str]:
+    """Largest step (length) between two pieces of an array, and words about it; 0 where there is none.
+
+    Pieces bonded to one array have its lattice each, and a displacement against each other along a line.
+    """
+    lens, unit = one.lenslets, one.lit.side.millimetre * 1e-3
+    off = lens.values[:, :2] - one.targets[:, :2]
+    wanted = np.hypot(*np.array([one.lit.side.lattice.a1, one.lit.side.lattice.a2]).T)
+    found: list[tuple[float, float, float, str]] = []
+    for axis, name in ((0, "i"), (1, "j")):
+        for edge in np.unique(lens.index[:, axis])[1:]:
+            design = np.column_stack([np.ones(len(off)), lens.index, lens.index[:, axis] >= edge])
+            if np.linalg.matrix_rank(design) < 4 or len(off) < 8:
+                continue
+            solved, *_ = np.linalg.lstsq(design, off, rcond=None)
+            rest = float(np.sum((off - design @ solved) ** 2)) / (2 * (len(off) - 4))
+            spread = np.sqrt(max(rest, float(np.mean(lens.u[:, :2] ** 2))))
+            clear = float(np.hypot(*solved[3])) / (spread * np.sqrt(np.linalg.inv(design.T @ design)[3, 3]))
+            x, y = solved[3] / unit
+            words = (
+                f"; two pieces are bonded: from {name} = {edge} on lenslets are displaced by {x:.3g}, {y:.3g}"
+            )
+            pitch = float(np.hypot(*(np.array([solved[1, 0], solved[2, 1]]) + lens.pitch - wanted)))
+            found.append((clear, pitch, float(np.hypot(*solved[3])), f"{words} µm"))
+    most = max((every[0] for every in found), default=0.0)
+    sure = [every for every in found if every[0] > max(CLEAR, 0.3 * most)]
+    if not sure:
+        return 0.0, ""
+    _, _, step, words = min(sure, key=lambda every: every[1])  # pieces have the pitch of the design
+    return step, words
+
+
+def _insert(one: Surface, off: float, u: float) -> str:
+    """Words where all lenslets alike have another radius."""
+    spread = float(np.std(one.lenslets.values[:, 3]) / abs(one.lenslets.values[:, 3].mean()))
+    alike = abs(off) > 5.0 * max(spread, 1e-4) and abs(off) > 4.0 * u
+    return "; all its lenslets alike: another insert or tool, or another scale of heights" if alike else ""
+
+
 def _radius(of: Scanned, name: Name, one: Surface) -> Check:
     """Radius of a side, with the names of usual mistakes."""
     side = one.lit.side
     relative = 0.5 * one.lit.u_scale
     radius, u, _ = mean_radius(one, relative)
-    designed = 1.0 / side.lenslet[3]
+    designed = one.radius
     off = radius / designed - 1.0
     body = side.body
     tile = side.lattice.tile()
     distance = sqrt(float(np.mean(np.sum(tile**2, axis=1))) / 3.0)  # rms over a square or hexagon, nearly
     limit = of.design.check.law_rms * abs(designed) / (abs(body.index - 1.0) * distance)
     text = f"{name}: radius {radius:.6g} ± {2.0 * u:.2g}, {100.0 * off:+.3g} % of the design's {designed:.6g}"
-    text += _astigmatic(one) + _other_side(name, one, radius, u)
+    text += _astigmatic(one) + (_other_side(name, one, radius, u) or _insert(one, off, u / abs(radius)))
     check = SCAN_RADIUS.judge(abs(off), limit, text, required=False)
     return replace(check, state="warn") if check.state == "fail" else check
 
 
 def _astigmatic(one: Surface) -> str:
     """Words about astigmatism that is clearly there."""
-    mean = 2.0 * (one.lenslets.values[:, 5:] - one.lit.side.lenslet[5:]).mean(axis=0)
+    mean = 2.0 * (one.lenslets.values[:, 5:] - one.targets[:, 5:]).mean(axis=0)
     doubt = 2.0 * float(np.sqrt(np.mean(one.lenslets.u[:, 5:] ** 2) / len(one.lenslets.index)))
     size = float(np.hypot(*mean))
-    if size < max(4.0 * doubt, 5e-4 * abs(one.lit.side.lenslet[3])):
+    if size < max(4.0 * doubt, 5e-4 * abs(one.targets[:, 3].mean())):
         return ""
-    part = percent_text(size / abs(one.lit.side.lenslet[3]), 2)
+    part = percent_text(size / abs(one.targets[:, 3].mean()), 2)
     return f"; astigmatic: curvature along its axes {part} more and less"
 
 
@@ -161,7 +228,7 @@ def _other_side(name: Name, one: Surface, radius: float, u: float) -> str:
 
     side = one.lit.side
     other = sides_of(side.window, side.millimetre)[OTHER[name]]
-    theirs, own = 1.0 / other.lenslet[3], 1.0 / side.lenslet[3]
+    theirs, own = 1.0 / other.lenslet[3], one.radius
     nearer = abs(radius - theirs) < 0.25 * abs(radius - own) and abs(theirs - own) > 4.0 * u
     return (
         f"; this is the radius of the {OTHER[name]} ({theirs:.6g}): sides or plates exchanged"

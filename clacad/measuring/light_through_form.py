@@ -17,10 +17,12 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.light.measure import Light, measure
+from clacad.measuring.find_lattice import NotMeasurable
 from clacad.measuring.fit_lenslets import Lenslets
-from clacad.measuring.sides import Name, Side
+from clacad.measuring.sides import Name, ShownCells, Side
 from clacad.optics.rays import TraceResult
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
+from clacad.sheet.like_cell import like_cell
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.window import Face, Window
 from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, FacetBody, sampled_face, trace_facets
@@ -54,21 +56,27 @@ def parts_of(u: Floats, v: Floats, bounds: Floats, bins: int) -> tuple[Ints, Int
 class MeasuredSide:
     """A side with its fitted lenslets, and where their cells are form.
 
+    cells : Cells of the sheet that they are.
     formed : (m, bins, bins) Whether light meets formed surface in each part of the bounding box of each cell.
     bounds : (2,) lengths. Half sizes of that box.
     u_scale : Half width of the stated relative uncertainty of heights, of a coverage of 95 %.
     """
 
-    side: Side
+    cells: ShownCells
     lenslets: Lenslets
     formed: Bools
     bounds: Floats
     u_scale: float
 
+    @property
+    def side(self) -> Side:
+        """Side of the sheet."""
+        return self.cells.side
+
     @cached_property
     def rows(self) -> dict[tuple[int, int], int]:
-        """Step of the sheet's lattice → number of the lenslet."""
-        return {(int(i), int(j)): k for k, (i, j) in enumerate(self.side.cell(self.lenslets.index))}
+        """Cell of the sheet → number of the lenslet."""
+        return {(int(i), int(j)): k for k, (i, j) in enumerate(self.cells.of(self.lenslets.index))}
 
     def meets_form(self, number: int, x: Floats, y: Floats) -> Bools:
         """Whether sheet places (n,) relative to the centre of the cell are formed surface."""
@@ -140,17 +148,18 @@ def light_through_form(
     sides : Measured ones; the other faces are as designed.
     field : radians. Half angle of the cone of directions; `centre`: its middle, as in `bundle`.
     """
-    cells, lit, lights, clear = _lit_cells(window, sides, field, centre)
+    seen, lights, clear = _lit_cells(window, sides, field, centre)
+    cells = list(seen)
     value = _rms(lights, clear)
     few = cells if len(cells) <= 9 else [cells[k] for k in np.linspace(0, len(cells) - 1, 9).astype(int)]
-    base = _rms([_lit(window, sides, one, lit) for one in few])
+    base = _rms([seen[one].light() for one in few])
     u_scale = max(one.u_scale for one in sides.values())
     steps = [
-        _rms([_lit(window, sides, one, lit, 1.0 / (1.0 + part * u_scale)) for one in few]) - base
+        _rms([seen[one].light(1.0 / (1.0 + part * u_scale)) for one in few]) - base
         for part in (-1.0, -0.5, 0.5, 1.0)
     ]
     draws = np.random.default_rng(0).standard_normal((DRAWS, 7))
-    noisy = np.array([_rms([_lit(window, sides, one, lit, 1.0, draw) for one in few]) for draw in draws])
+    noisy = np.array([_rms([seen[one].light(1.0, draw) for one in few]) for draw in draws])
     noise, added = 2.0 * float(np.std(noisy)), max(0.0, float(np.mean(noisy**2)) - base**2)
     fuller = base - float(np.sqrt(max(0.0, base**2 - added)))  # noise of the fit is error of light, too
     down, up = min(0.0, *steps), max(0.0, *steps)
@@ -171,20 +180,24 @@ def light_through_form(
 
 def law_rms_of_form(window: Window, sides: Mapping[Name, MeasuredSide], field: float, centre: str) -> float:
     """Error (radians) to the law of the formed light alone, as `FormLight.rms`; NaN if too dark."""
-    _, _, lights, clear = _lit_cells(window, sides, field, centre)
+    _, lights, clear = _lit_cells(window, sides, field, centre)
     return _rms(lights, clear)
 
 
 def _lit_cells(
     window: Window, sides: Mapping[Name, MeasuredSide], field: float, centre: str
-) -> tuple[list[tuple[int, int]], Bundle, list[Light], list[Bools]]:
-    """Cells that are lit, the bundle of one cell, the light of each, and which rays met formed surface."""
-    common = sorted(set.intersection(*(set(one.rows) for one in sides.values())))
+) -> tuple[dict[tuple[int, int], _Seen], list[Light], list[Bools]]:
+    """Cells that are lit, the light of each, and which rays met formed surface."""
+    lattice = window.lattice
+    every = sorted(set.intersection(*(set(one.rows) for one in sides.values())))
+    common = every if window.uniform else [one for one in every if lattice.contains(np.array(one))]
+    if not common:
+        raise NotMeasurable("the maps show no cell of the sheet in common")
     cells = [common[k] for k in np.linspace(0, len(common) - 1, min(len(common), MOST_CELLS)).astype(int)]
-    lit = bundle(window, RAYS, field, centre, cell=central_cell(window))
-    lights = [_lit(window, sides, one, lit) for one in cells]
-    clear = [_clear(sides, one, light) for one, light in zip(cells, lights, strict=True)]
-    return cells, lit, lights, clear
+    seen = {cell: _Seen.of(window, cell, sides, field, centre) for cell in cells}
+    lights = [one.light() for one in seen.values()]
+    clear = [one.clear(light) for one, light in zip(seen.values(), lights, strict=True)]
+    return seen, lights, clear
 
 
 def _rms(lights: Sequence[Light], clear: Sequence[Bools] | None = None) -> float:
@@ -203,50 +216,66 @@ def _bias(lights: Sequence[Light]) -> float:
     return float(np.linalg.norm(off.mean(axis=0))) if len(off) >= 64 else nan
 
 
-def _lit(
-    window: Window,
-    sides: Mapping[Name, MeasuredSide],
-    cell: tuple[int, int],
-    lit: Bundle,
-    scale: float = 1.0,
-    draw: Floats | None = None,
-) -> Light:
-    """Light of a bundle through one cell as measured."""
-    held = {id(one.side.face): one.samples(one.rows[cell], scale, draw) for one in sides.values()}
-    bodies = []
-    for body in window.bodies:
-        faces = [_face(window, face, lit.cell, held) for face in (body.front, body.back)]
-        bodies.append(FacetBody(faces[0], faces[1], body))
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """One cell of a sheet and its measured lenslets.
 
-    def send(one: Bundle) -> TraceResult:
-        return trace_facets(tuple(bodies), one.rays)
+    window : Uniform equivalent of the cell; the sheet itself where it is uniform.
+    lit : Bundle in front of it.
+    held : Number of a face → measured side, and number of the lenslet.
+    """
 
-    return measure(send, lit, RequestedLaw.of(window))
+    window: Window
+    lit: Bundle
+    held: Mapping[int, tuple[MeasuredSide, int]]
 
+    @staticmethod
+    def of(
+        window: Window, cell: tuple[int, int], sides: Mapping[Name, MeasuredSide], field: float, centre: str
+    ) -> _Seen:
+        """Prepare the light of a cell."""
+        like = like_cell(window, np.array(cell))
+        held = {one.side.number: (one, one.rows[cell]) for one in sides.values()}
+        return _Seen(like, bundle(like, RAYS, field, centre, cell=central_cell(like)), held)
 
-def _face(
-    window: Window, face: Face, cell: tuple[int, int], held: Mapping[int, tuple[Floats, Floats]]
-) -> AnyFace:
-    """A face of a cell, as measured or as designed."""
-    place = np.array([*window.centres(face.array or 0, np.array(cell, dtype=np.int64)), 0.0])
-    if id(face) not in held:
-        return ExactFace(face, place, window)
-    points, step = held[id(face)]
-    return sampled_face(window, face, place, points, step)
+    def light(self, scale: float = 1.0, draw: Floats | None = None) -> Light:
+        """Light through the cell as measured, heights times `scale`, or changed within their uncertainty."""
+        faces = [self._face(number, scale, draw) for number in range(len(self.window.faces))]
+        bodies = tuple(
+            FacetBody(faces[2 * k], faces[2 * k + 1], body) for k, body in enumerate(self.window.bodies)
+        )
 
+        def send(one: Bundle) -> TraceResult:
+            return trace_facets(bodies, one.rays)
 
-def _clear(sides: Mapping[Name, MeasuredSide], cell: tuple[int, int], light: Light) -> Bools:
-    """Which rays (n,) met formed surface on every measured side."""
-    good = np.ones(len(light.seen), dtype=bool)
-    for name, one in sides.items():
-        window, face = one.side.window, one.side.face
-        centre = window.centres(face.array or 0, np.array(light.lit.cell, dtype=np.int64))
-        at = light.seen.position[:, :2]
-        if name == "front":  # rays are straight up to the first face
-            start, way = light.lit.rays.position, light.lit.rays.direction
-            at = (start + way * ((face.vertex[2] - start[:, 2]) / way[:, 2])[:, None])[:, :2]
-        good &= one.meets_form(one.rows[cell], *(at - centre).T)
-    return good
+        return measure(send, self.lit, RequestedLaw.of(self.window))
+
+    def _place(self, face: Face) -> Floats:
+        """Centre (3,) of the cell of a face, sheet frame, z = 0."""
+        return np.array([*self.window.centres(face.array or 0, np.array(self.lit.cell)), 0.0])
+
+    def _face(self, number: int, scale: float, draw: Floats | None) -> AnyFace:
+        """A face of the cell, as measured or as designed."""
+        face = self.window.faces[number]
+        if number not in self.held:
+            return ExactFace(face, self._place(face), self.window)
+        side, lenslet = self.held[number]
+        points, step = side.samples(lenslet, scale, draw)
+        return sampled_face(self.window, face, self._place(face), points, step)
+
+    def clear(self, light: Light) -> Bools:
+        """Which rays (n,) met formed surface on every measured side."""
+        good = np.ones(len(light.seen), dtype=bool)
+        start, way = light.lit.rays.position, light.lit.rays.direction
+        last = len(self.window.faces) - 1
+        for number, (side, lenslet) in self.held.items():
+            face = self.window.faces[number]
+            if number == last:
+                at = light.seen.position[:, :2]
+            else:  # rays are straight up to the first face, and nearly so to a second one
+                at = (start + way * ((face.vertex[2] - start[:, 2]) / way[:, 2])[:, None])[:, :2]
+            good &= side.meets_form(lenslet, *(at - self._place(face)[:2]).T)
+        return good
 
 
 def texture_share(texture: float, index: float, wavelength: float) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import hypot, prod
+from math import hypot, log, prod
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,7 +20,7 @@ from clacad.measuring.light_through_form import light_through_form, texture_shar
 from clacad.measuring.measured import Measured
 from clacad.measuring.read_map import MeasuredMap, read_map
 from clacad.measuring.scales import HEIGHTS, LATERAL, Scale, Stated, scale_by_tilt, scale_of
-from clacad.measuring.sides import Name, Side, sides_of
+from clacad.measuring.sides import Name, ShownCells, Side, cells_in_map, sides_of
 from clacad.prescription.prescribe import prescribe
 from clacad.storage.errors import BadRequest
 
@@ -29,35 +29,81 @@ if TYPE_CHECKING:
     from clacad.sheet.window import Window
 
 Path = str | os.PathLike[str]
+Given = Path | MeasuredMap | tuple[Path | MeasuredMap, tuple[int, int]]
 
 
 @dataclass(frozen=True)
 class Maps:
     """Maps of one part and the scales of the instrument, as `measure` takes them."""
 
-    front: Path | MeasuredMap | None = None
-    back: Path | MeasuredMap | None = None
+    front: Given | None = None
+    back: Given | None = None
     tilted: Path | None = None
     z_scale: Stated = None
     lateral_scale: Stated = None
     unit: str | None = None
+    cell: tuple[int, int] | None = None
+    named: bool = True
 
     def of(self, side: Name, measured: Path | MeasuredMap) -> Maps:
         """The scales with the map of one side."""
         return replace(self, front=measured) if side == "front" else replace(self, back=measured)
 
     def measured(self, design: Design, progress: Progress) -> Measured:
-        """Measure the part; see `measure`."""
+        """Measure the part; see `measure`.
+
+        named : Whether the sides of the files are known; else they follow from the curvature of the maps.
+        """
+        paths = (self.front, self.back) if self.named else self._by_curvature(design)
+        given = list(paths)
+        first = 0 if paths[0] is not None else 1
+        path = paths[first]
+        if self.cell is not None and path is not None and not isinstance(path, tuple):
+            given[first] = path, self.cell
         return measure(
             design,
-            self.front,
-            self.back,
+            given[0],
+            given[1],
             tilted=self.tilted,
             z_scale=self.z_scale,
             lateral_scale=self.lateral_scale,
             unit=self.unit,
             progress=progress,
         )
+
+    def _by_curvature(self, design: Design) -> tuple[Given | None, Given | None]:
+        """The files, exchanged where their radii are nearer to those of the other sides of the design."""
+        sides = sides_of(prescribe(design), 1e-3 / design.unit_m)
+        apart = abs(log(sides["front"].lenslet[3] / sides["back"].lenslet[3]))
+        if apart < APART:
+            return self.front, self.back
+        heights, lateral = (
+            scale_of(self.z_scale, HEIGHTS, "z_scale"),
+            scale_of(self.lateral_scale, LATERAL, "lateral_scale"),
+        )
+        kept: list[float] = []
+        swapped: list[float] = []
+        for name, path in (("front", self.front), ("back", self.back)):
+            if isinstance(path, (str, os.PathLike)):
+                one = read_map(path, self.unit)
+                for other in SIDES:
+                    miss = _miss(one, sides[other], heights.value, lateral.value, design.unit_m)
+                    (kept if other == name else swapped).append(miss)
+        return (self.back, self.front) if sum(swapped) < sum(kept) else (self.front, self.back)
+
+
+SIDES: tuple[Name, Name] = ("front", "back")
+APART = 0.03
+"""Least relative difference of the radii of front and back by which their maps are recognized."""
+
+
+def _miss(measured: MeasuredMap, side: Side, height: float, lateral: float, unit_m: float) -> float:
+    """Relative difference of the radius of a map to that of a side; 1 where the map is not measurable."""
+    try:
+        lens = _fitted(measured, side, height, lateral, unit_m)[1]
+    except NotMeasurable:
+        return 1.0
+    return abs(log(float(np.median(lens.values[:, 3])) / side.lenslet[3]))
 
 
 SURE = 2e-5
@@ -75,8 +121,8 @@ LIT = 550e-9
 
 def measure(
     design: Design,
-    front: Path | MeasuredMap | None = None,
-    back: Path | MeasuredMap | None = None,
+    front: Given | None = None,
+    back: Given | None = None,
     *,
     tilted: Path | None = None,
     z_scale: Stated = None,
@@ -94,10 +140,10 @@ def measure(
     Parameters
     ----------
     design : Design
-    front, back : path or None
+    front, back : path, (path, (i, j)) or None
         Map of the side that light reaches first, and of the other: X3P, SDF, a cloud x y z, or NPY, TIFF or
-        PNG with
-        a JSON file next to it.
+        PNG with a JSON file next to it. (i, j): cell of the sheet nearest to its middle; without it, it is
+        found where an edge of the array is in the map, and is else the middle of a non-uniform sheet.
     tilted : path or None
         A second map of the field of `front` (without one: of `back`), the specimen tilted by about 8
         degrees: it
@@ -160,6 +206,23 @@ def measure(
     return Measured(design, found, heights, lateral, light, prod(shares), scan_checks(judged))
 
 
+def _alike(
+    fitted: Mapping[Name, tuple[MeasuredMap, Lenslets, ShownCells]],
+) -> dict[Name, tuple[MeasuredMap, Lenslets, ShownCells]]:
+    """Maps of both sides whose middles show one cell, unless edges show others."""
+    cells = [of for _, _, of in fitted.values()]
+    first, known = list(cells[0].first), list(cells[0].known)
+    for of in cells:
+        for k in (0, 1):
+            if known[k] == "assumed":
+                first[k], known[k] = of.first[k], of.known[k]
+    found = {}
+    for name, (measured, lenslets, of) in fitted.items():
+        own = [first[k] if of.known[k] == "assumed" else of.first[k] for k in (0, 1)]
+        found[name] = measured, lenslets, replace(of, first=(own[0], own[1]))
+    return found
+
+
 def fitted_sides(
     design: Design, window: Window, of: Maps, progress: Progress | None = None
 ) -> tuple[dict[Name, Surface], Scale, Scale]:
@@ -167,8 +230,11 @@ def fitted_sides(
 
     Returns measured sides, scale of heights, and lateral scale. Raises as `measure`.
     """
-    given: dict[Name, Path | MeasuredMap | None] = {"front": of.front, "back": of.back}
-    maps = {name: one for name, one in given.items() if one is not None}
+    given: dict[Name, Given | None] = {"front": of.front, "back": of.back}
+    stated = {
+        name: one if isinstance(one, tuple) else (one, None) for name, one in given.items() if one is not None
+    }
+    maps = {name: one for name, (one, _) in stated.items()}
     if not maps:
         raise BadRequest("no map to measure: give front, back or both")
     told = shown_progress(progress)
@@ -187,44 +253,54 @@ def fitted_sides(
         heights = _by_tilt(
             read[first], read_map(of.tilted, of.unit), sides[first], heights, lateral.value, design.unit_m
         )
-    fitted: dict[Name, tuple[MeasuredMap, Lenslets]] = {}
+    fitted: dict[Name, tuple[MeasuredMap, Lenslets, ShownCells]] = {}
     for name, one in read.items():
         told(f"fitting the lenslets of the {name}", 0.3)
-        fitted[name] = _fitted(one, sides[name], heights.value, lateral.value, design.unit_m)
-    return _surfaces(fitted, sides, heights, lateral), heights, lateral
+        fitted[name] = _fitted(one, sides[name], heights.value, lateral.value, design.unit_m, stated[name][1])
+    return _surfaces(_alike(fitted), sides, heights, lateral), heights, lateral
 
 
 def _surfaces(
-    fitted: Mapping[Name, tuple[MeasuredMap, Lenslets]],
+    fitted: Mapping[Name, tuple[MeasuredMap, Lenslets, ShownCells]],
     sides: Mapping[Name, Side],
     heights: Scale,
     lateral: Scale,
 ) -> dict[Name, Surface]:
     """Measured sides; all radii together are uncertain by both scales."""
     found = {}
-    for name, (measured, lenslets) in fitted.items():
+    for name, (measured, lenslets, cells) in fitted.items():
         half = lateral.half
         if lateral.origin == "assumed":  # a pitch that agrees with the design's bears the scale out
             wanted = [hypot(*sides[name].lattice.a1), hypot(*sides[name].lattice.a2)]
             off = max(abs(p / q - 1.0) for p, q in zip(lenslets.pitch, wanted, strict=True))
             half = min(half, max(off, SURE))
-        found[name] = surface_of(measured, sides[name], lenslets, hypot(heights.half, 2.0 * half))
+        found[name] = surface_of(measured, cells, lenslets, hypot(heights.half, 2.0 * half))
     return found
 
 
 def _fitted(
-    measured: MeasuredMap, side: Side, height: float, lateral: float, unit_m: float
-) -> tuple[MeasuredMap, Lenslets]:
-    """Map in design units with its scales taken off, and its lenslets."""
+    measured: MeasuredMap,
+    side: Side,
+    height: float,
+    lateral: float,
+    unit_m: float,
+    stated: tuple[int, int] | None = None,
+) -> tuple[MeasuredMap, Lenslets, ShownCells]:
+    """Map in design units with its scales taken off, its lenslets, and the cells that they are."""
     one = measured.scaled(lateral * unit_m, height * unit_m)
     _refuse_heights(one, side)
-    lenslets = fit_lenslets(one, side.lattice, side.aperture, side.lenslet)
+    cells = cells_in_map(side, np.zeros((1, 2), dtype=np.int64), np.zeros((0, 2), dtype=np.int64), stated)
+    for _ in range(2):
+        lenslets = fit_lenslets(one, side.lattice, side.aperture, cells.numbers)
+        before, cells = cells, cells_in_map(side, lenslets.index, lenslets.empty, stated)
+        if side.alike or cells.first == before.first:
+            break
     _, a, b = lenslets.pose
     if hypot(a, b) > STEEPEST:
         raise NotMeasurable(
             f"{one.name}: it is tilted by {hypot(a, b):.2g} rad; {STEEPEST:g} rad is the most"
         )
-    return one, lenslets
+    return one, lenslets, cells
 
 
 def _refuse_heights(measured: MeasuredMap, side: Side) -> None:
@@ -255,12 +331,13 @@ def _by_tilt(
 
 
 def maps_of(paths: Sequence[str | os.PathLike[str]], sides: Mapping[str, str], stated: Maps) -> Maps:
-    """Maps of files: their sides as stated, else by their names, else the front and then the back.
+    """Maps of files: their sides as stated, else by their names, else by their curvature.
 
     sides : File name → "front" or "back".
     Raises BadRequest: Two files of one side, more than two, or a side of a file that is not given.
     """
     found: dict[str, Path] = {}
+    told = False
     names = {os.path.basename(path): path for path in paths}
     idle = [name for name in sides if name not in names or sides[name] not in ("front", "back")]
     if idle or len(paths) > 2:
@@ -269,10 +346,11 @@ def maps_of(paths: Sequence[str | os.PathLike[str]], sides: Mapping[str, str], s
     for name, path in names.items():
         by_name = [side for side in ("front", "back") if side in name.lower()]
         free = [side for side in ("front", "back") if side not in found]
+        told |= name in sides or len(by_name) == 1
         side = sides.get(name) or (by_name[0] if len(by_name) == 1 else free[0])
         if side in found:
             raise BadRequest(
                 f"{os.path.basename(found[side])} and {name} are both of the {side}: --side FILE=back"
             )
         found[side] = path
-    return replace(stated, front=found.get("front"), back=found.get("back"))
+    return replace(stated, front=found.get("front"), back=found.get("back"), named=told)

@@ -1,25 +1,34 @@
-"""The result of a measurement: lenslets, light and verdict of a part as an instrument measured it."""
+"""The result of a measurement: lenslets, light and verdict of a part as an instrument measured it; its files."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import csv
+import io
+import json
+import os
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from clacad.base.interactive import Tabular, columns_of
 from clacad.base.text import mrad_text, percent_text, plain, table
+from clacad.base.types import Floats
+from clacad.base.units import millimetres
 from clacad.checks.check import Check, short_table
 from clacad.checks.scan_kinds import CANNOT_SAY
-from clacad.measuring.fit_lenslets import NAMES, conic
+from clacad.measuring.fit_lenslets import NAMES
 from clacad.measuring.form_and_seams import Surface
 from clacad.measuring.light_through_form import FormLight
 from clacad.measuring.scales import Scale
-from clacad.measuring.sides import Name
+from clacad.measuring.sides import Name, Side
+from clacad.storage.atomic import canonical_json, write_set
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.sheet.window import Window
 
 FORMAT = 1
 Verdict = Literal["pass", "fail", "cannot say"]
@@ -93,7 +102,11 @@ class Measured(Tabular):
     def to_columns(self) -> dict[str, Any]:
         """One row for each lenslet."""
         return columns_of(
-            [row | _split(row) for name, one in self.sides.items() for row in _rows(name, one, self.u_radius)]
+            [
+                {key: row[key] for key in row if key != "cell"} | _split(row)
+                for name, one in self.sides.items()
+                for row in _rows(name, one, self.u_radius)
+            ]
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -134,6 +147,8 @@ class Measured(Tabular):
         half = one.lenslets.aperture.reach.min()
         return {
             **_pose(one),
+            "first_cell": list(one.lit.cells.first),
+            "first_cell_known_by": list(one.lit.cells.known),
             "file": one.measured.name,
             "pixel": list(one.measured.pixel),
             "missing": one.measured.missing,
@@ -192,6 +207,7 @@ def _rows(name: Name, one: Surface, relative: float) -> list[dict[str, Any]]:
     along = lens.lattice.basis[:, 0] / np.linalg.norm(lens.lattice.basis[:, 0])
     turn = np.array([[along[0], along[1]], [-along[1], along[0]]])
     middles = lens.index @ lens.lattice.basis.T @ turn.T + values[:, :2]
+    own = one.lit.cells.of(lens.index)
     rows = []
     for k, (i, j) in enumerate(lens.index.tolist()):
         of = dict(zip(NAMES, values[k], strict=True))
@@ -201,6 +217,7 @@ def _rows(name: Name, one: Surface, relative: float) -> list[dict[str, Any]]:
                 "side": name,
                 "i": i,
                 "j": j,
+                "cell": own[k].tolist(),
                 "x": middles[k, 0],
                 "y": middles[k, 1],
                 "z": of["z"],
@@ -223,7 +240,15 @@ def _rows(name: Name, one: Surface, relative: float) -> list[dict[str, Any]]:
 def _split(row: Mapping[str, Any]) -> dict[str, Any]:
     """Astigmatism as single numbers, for tables."""
     (a, b), (u, v) = row["astigmatism"], row["u_astigmatism"]
-    return {"astigmatism": a, "astigmatism_45": b, "u_astigmatism": u, "u_astigmatism_45": v}
+    i, j = row["cell"]
+    return {
+        "cell_i": i,
+        "cell_j": j,
+        "astigmatism": a,
+        "astigmatism_45": b,
+        "u_astigmatism": u,
+        "u_astigmatism_45": v,
+    }
 
 
 def facts_of(found: Measured) -> list[tuple[str, str]]:
@@ -253,46 +278,126 @@ def iso_rows(found: Measured) -> list[IsoRow]:
 
 
 def _iso_rows(name: Name, one: Surface, unit: str, found: Measured) -> list[IsoRow]:
-    side, lens = one.lit.side, one.lenslets
+    lens, side = one.lenslets, one.lit.side
     radius, u, constant = mean_radius(one, found.u_radius)
     radii = 1.0 / lens.values[:, 3]
-    designed = 1.0 / side.lenslet[3]
-    body = side.body
-    focal = designed / (body.index - 1.0), radius / (body.index - 1.0)
-    off = one.lit.lenslets.values[:, :2]
-    micron = found.design.unit_m * 1e6
-    pitch = [float(np.hypot(*side.lattice.a1)), float(np.hypot(*side.lattice.a2))]
-    depth = one.lenslets.values[:, 3].mean() / side.lenslet[3] * side.sag
-    wave = form_rms(one) * (body.index - 1.0)
+    off = lens.values[:, :2] - one.targets[:, :2]
+    depth = lens.values[:, 3].mean() / one.targets[:, 3].mean() * side.sag
+    wave = form_rms(one) * (side.body.index - 1.0)
     nano = found.design.unit_m * 1e9
-    spread = percent_text(float(np.std(radii / radii.mean())), 3, unit="")
-    middles = micron * float(np.sqrt(np.mean(np.sum((off - off.mean(axis=0)) ** 2, axis=1))))
+    made = (
+        f"{lens.pitch[0]:.7g}",
+        f"{lens.pitch[1]:.7g}",
+        f"{radius:.6g} ± {2.0 * u:.2g}",
+        percent_text(float(np.std(radii / radii.mean())), 3, unit=""),
+        f"{constant:.3f}",
+        f"{depth:.5g}",
+        f"{1e-3 * nano * float(np.sqrt(np.mean(np.sum((off - off.mean(axis=0)) ** 2, axis=1)))):.3g}",
+        f"{radius / (side.body.index - 1.0):.6g}",
+        f"{nano * one.texture:.3g}",
+        f"{nano * wave:.3g}",
+    )
+    designed = _designed(name, side, one.targets, unit)
+    return [(*row, value) for row, value in zip(designed, made, strict=True)]
+
+
+def _designed(name: Name, side: Side, numbers: Floats, unit: str) -> list[tuple[str, str, str]]:
+    """Rows of one side as designed; numbers (m, 7) of its lenslets."""
+    radius, constant = 1.0 / float(numbers[:, 3].mean()), float(numbers[:, 4].mean())
+    pitch = [float(np.hypot(*side.lattice.a1)), float(np.hypot(*side.lattice.a2))]
+    spread = percent_text(float(np.std(numbers[:, 3]) * abs(radius)), 3, unit="")
     rows = [
-        ("pitch x", unit, f"{pitch[0]:.6g}", f"{lens.pitch[0]:.7g}"),
-        ("pitch y", unit, f"{pitch[1]:.6g}", f"{lens.pitch[1]:.7g}"),
-        ("radius of curvature", unit, f"{designed:.6g}", f"{radius:.6g} ± {2.0 * u:.2g}"),
-        ("uniformity of the radius (standard deviation)", "%", "0", spread),
-        ("conic constant", "", f"{side.lenslet[4]:.3f}", f"{constant:.3f}"),
-        ("surface modulation depth", unit, f"{side.sag:.5g}", f"{depth:.5g}"),
-        ("lens middle positions (rms about the lattice)", "µm", "0", f"{middles:.3g}"),
-        ("focal length, as derived", unit, f"{focal[0]:.6g}", f"{focal[1]:.6g}"),
-        ("roughness Sq", "nm", "", f"{nano * one.texture:.3g}"),
-        ("wavefront rms, from form", "nm", "0", f"{nano * wave:.3g}"),
+        ("pitch x", unit, f"{pitch[0]:.6g}"),
+        ("pitch y", unit, f"{pitch[1]:.6g}"),
+        ("radius of curvature", unit, f"{radius:.6g}"),
+        ("uniformity of the radius (standard deviation)", "%", spread),
+        ("conic constant", "", f"{constant + 0.0:.3f}"),
+        ("surface modulation depth", unit, f"{side.sag:.5g}"),
+        ("lens middle positions (rms about the lattice)", "µm", "0"),
+        ("focal length, as derived", unit, f"{radius / (side.body.index - 1.0):.6g}"),
+        ("roughness Sq", "nm", ""),
+        ("wavefront rms, from form", "nm", "0"),
     ]
-    return [(f"{name}: {what}", of, designed_as, made) for what, of, designed_as, made in rows]
+    return [(f"{name}: {what}", of, value) for what, of, value in rows]
+
+
+def iso_rows_of_design(design: Design, window: Window) -> list[tuple[str, str, str]]:
+    """Rows in the terms of ISO 14880-1 and -4 of a design alone: name, unit, value; none of cylinders."""
+    from clacad.measuring.sides import sides_of
+    from clacad.storage.errors import NotPossible
+
+    try:
+        sides = sides_of(window, 1e-3 / design.unit_m)
+    except NotPossible:
+        return []
+    return [
+        row for name, side in sides.items() for row in _designed(name, side, side.lenslet[None], design.unit)
+    ]
 
 
 def form_rms(one: Surface) -> float:
     """Rms (length) of the form of all lenslets against the design's, without height, tilt and defocus."""
     lens = one.lenslets
-    line = np.linspace(-1.0, 1.0, 21)
-    u, v = (g.ravel() for g in np.meshgrid(*(line * half for half in lens.aperture.half), indexing="ij"))
-    inside = lens.aperture.holds(u, v)
-    u, v = u[inside], v[inside]
+    u, v = lens.aperture.grid(21)
+    cells = one.lit.cells.of(lens.index)
     plane = np.column_stack([np.ones(len(u)), u, v, u * u + v * v])
     squares = []
     for k in range(len(lens.index)):
-        off = lens.heights(k, u, v) - conic(one.lit.side.lenslet, u, v, slopes=False)[0]
+        off = lens.heights(k, u, v) - one.lit.side.heights(cells[k], u, v)
         off = off - plane @ np.linalg.lstsq(plane, off, rcond=None)[0]
         squares.append(float(np.mean(off**2)))
     return float(np.sqrt(np.mean(squares)))
+
+
+# -- files
+
+NUMBERS, TABLE = "measured.json", "lenslets.csv"
+
+
+def write_measured(found: Measured, folder: str | os.PathLike[str], *, overwrite: bool = False) -> list[Path]:
+    """Write measured.json, lenslets.csv and the deviation map of each side; their paths.
+
+    A deviation map is a NPY file of heights in the design's unit, out of the material, NaN where no whole
+    lenslet was measured, with its scales in a JSON file next to it: `clacad` reads it as it reads a map.
+
+    Raises CannotWrite, ExportRefused.
+    """
+    contents: dict[str, str | bytes] = {NUMBERS: canonical_json(found.to_dict()), TABLE: _table(found)}
+    for name, one in found.sides.items():
+        contents |= dict(_deviation(f"deviation-{name}.npy", one, found.design.unit_m))
+    write_set(folder, contents, overwrite=overwrite, replace=_ours)
+    return [Path(folder) / name for name in contents]
+
+
+def _table(found: Measured) -> str:
+    """One row for each lenslet, names of the columns first."""
+    columns = {name: one for name, one in found.to_columns().items() if not name.startswith("law_")}
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
+    return text.getvalue()
+
+
+def _deviation(name: str, one: Surface, unit_m: float) -> Iterator[tuple[str, str | bytes]]:
+    """Map of the measured surface less the design's, and its scales."""
+    data = io.BytesIO()
+    np.save(data, one.deviation.astype(np.float32), allow_pickle=False)
+    yield name, data.getvalue()
+    scale = millimetres(unit_m)
+    told = {
+        "pixel_mm": [pixel * scale for pixel in one.measured.pixel],
+        "z_step_mm": scale,
+        "z_at_0_mm": 0.0,
+        "row_0": "bottom",
+    }
+    yield f"{name}.json", json.dumps(told, indent=1, sort_keys=True) + "\n"
+
+
+def _ours(path: Path) -> bool:
+    """Whether a file was written by an earlier run next to its measured.json."""
+    try:
+        with (path.parent / NUMBERS).open(encoding="utf-8") as stream:
+            return '"law_rms_by_cell"' in stream.read(1 << 20)
+    except (OSError, UnicodeDecodeError):
+        return False

@@ -1,13 +1,16 @@
-"""The two measured sides of a design: faces seen from outside, and their lenslets by the definitions of the
-fit.
+"""The two measured sides of a design: curved faces seen from outside their material, and the lenslets of each
+cell by the definitions of the fit.
 
-A map of the front has the sheet's x along its x and the sheet's y against its y; a map of the back has both
-against. So x of the back's map runs against x of the front's.
+A map of a face whose material lies behind it has the sheet's x along its x and the sheet's y against its y; a
+map of one whose material lies before it has both against. So x of a back's map runs against x of a front's.
+The front is the first curved face that light meets, the back the last one. Faces between them are as
+designed.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,8 +18,10 @@ import numpy as np
 from clacad.base.types import Floats, Ints
 from clacad.measuring.fit_lenslets import Aperture, aperture_of, fit_heights
 from clacad.sheet.lattice import Lattice
+from clacad.sheet.pattern import Pattern
+from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.window import Body, Face, Window, lens_height
-from clacad.storage.errors import NotPossible
+from clacad.storage.errors import BadRequest, NotPossible
 
 Name = Literal["front", "back"]
 AXES: dict[Name, tuple[float, float]] = {"front": (1.0, -1.0), "back": (-1.0, -1.0)}
@@ -28,69 +33,202 @@ OTHER: dict[Name, Name] = {"front": "back", "back": "front"}
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One side of a sheet whose cells are all alike.
+    """One side of a sheet.
 
     name : "front": the side that light reaches first.
     window : The sheet.
+    body : Body that the face bounds.
     face : Face
     aperture : Measured aperture.
-    lenslet : (7,) Numbers of the design's lenslet in the axes of a map, by the fit of `fit_lenslets`.
+    lenslet : (7,) Numbers of the lenslet that `face` describes in the axes of a map, by the fit of
+        `fit_lenslets`.
     millimetre : Lengths of a design unit in a millimetre.
     """
 
     name: Name
     window: Window
+    body: Body
     face: Face
     aperture: Aperture
     lenslet: Floats
     millimetre: float
 
     @property
-    def lattice(self) -> Lattice:
-        """Cells of the face."""
+    def array(self) -> int:
+        """Array of the face."""
         assert self.face.array is not None
-        return self.window.lattice_of(self.face.array)
+        return self.face.array
 
     @property
-    def body(self) -> Body:
-        """Body that the face bounds."""
-        return self.window.bodies[0 if self.name == "front" else -1]
+    def number(self) -> int:
+        """Number of the face in the order of the light."""
+        return next(k for k, face in enumerate(self.window.faces) if face is self.face)
+
+    @property
+    def signs(self) -> tuple[float, float]:
+        """Signs of the map's x and y along the sheet's."""
+        return _signs(self.face)
+
+    @property
+    def lattice(self) -> Pattern:
+        """Cells of the face, in the axes of a map."""
+        return _seen(self.window.lattice_of(self.array), self.signs)
+
+    @property
+    def alike(self) -> bool:
+        """Whether all lenslets of the side are alike."""
+        return self.face.change is None
 
     @property
     def sag(self) -> float:
-        """Difference of height (length) of middle and farthest corner of the design's lenslet."""
-        tile = self.lattice.tile()
-        return float(np.ptp(np.append(_outward(self.face, tile[:, 0], tile[:, 1], self.name), 0.0)))
+        """Range of heights (length) of the design's lenslet."""
+        inside = self.aperture.grid(ALONG)
+        return float(np.ptp(_outward(self.face, *np.hstack([inside, self.lattice.tile().T]))))
 
     def outward(self, u: Floats, v: Floats) -> Floats:
         """Height (n,) of the design's lenslet above its apex, out of the material, over places of a map's
         cell.
         """
-        return _outward(self.face, u, v, self.name)
+        return _outward(self.face, u, v)
 
     def target(self, u: Floats, v: Floats) -> Floats:
-        """Height (n,) as `outward`, over places relative to the middle of the lenslet."""
-        return self.outward(u + self.lenslet[0], v + self.lenslet[1])
+        """Height (n,) as `outward`."""
+        return self.outward(u, v)
 
     def cell(self, index: Ints) -> Ints:
         """Steps (m, 2) of the sheet's lattice for steps (m, 2) of the map's."""
-        basis = np.column_stack([self.lattice.a1, self.lattice.a2])
-        across = np.linalg.inv(basis) @ np.diag(AXES[self.name]) @ basis
+        own, base = self.lattice, self.window.lattice_of(self.array)
+        across = np.linalg.solve(_steps(base), np.diag(self.signs) @ _steps(own))
         return np.asarray(np.rint(index @ across.T).astype(np.int64))
 
     def in_sheet(self, u: Floats, v: Floats, height: Floats) -> Floats:
         """Places of a map's cell and heights above the plane of the apexes as points (n, 3) of the
         sheet's.
         """
-        sx, sy = AXES[self.name]
+        sx, sy = self.signs
         return np.column_stack([sx * u, sy * v, self.face.vertex[2] - self.face.side * height])
 
+    def heights(self, cell: Ints | None, u: Floats, v: Floats) -> Floats:
+        """Height (n,) of the design's lenslet of a sheet's cell (2,) over places of the map's.
 
-def _outward(face: Face, u: Floats, v: Floats, name: Name) -> Floats:
-    """Height (n,) of the design's lenslet above its apex, out of the material, over places of a map's
+        Above the plane of the apexes, out of the material; None: of the lenslet that the face describes.
+        """
+        own = self.face if cell is None or self.alike else self.window.in_cell(self.face, cell)
+        return np.asarray(_outward(own, u, v) - own.side * (own.vertex[2] - self.face.vertex[2]))
+
+    def numbers(self, cells: Ints) -> Floats:
+        """Numbers (m, 7) of the design's lenslets of the sheet's cells (m, 2).
+
+        Cells beyond its border are like that of the face.
+        """
+        if self.alike:
+            return np.tile(self.lenslet, (len(cells), 1))
+        known = {tuple(cell): self._fitted(cell) for cell in np.unique(cells, axis=0)}
+        return np.array([known[tuple(cell)] for cell in cells]).reshape(-1, 7)
+
+    def _fitted(self, cell: Ints) -> Floats:
+        places = self.window.lenses(self.face, cell)
+        start = self.lenslet.copy()
+        sx, sy = self.signs
+        x, y, z = (float(v) for v in places.apex)
+        dx, dy, dz = (one - before for one, before in zip((x, y, z), self.face.vertex, strict=True))
+        start[:3] += [sx * dx, sy * dy, -self.face.side * dz]
+        start[[3, 5, 6]] /= 1.0 if places.size is None else float(places.size)
+        return fit_heights(self.aperture, lambda u, v: self.heights(cell, u, v), start, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class ShownCells:
+    """Which cells of the sheet the lenslets of a map are.
+
+    side : Side
+    first : (2,) ints. Cell of the sheet at step (0, 0) of the map's lattice.
+    known : (for i, for j). "stated", "edge" of the array in the map, or "assumed": the middle of the sheet.
+    """
+
+    side: Side
+    first: tuple[int, int]
+    known: tuple[str, str] = ("assumed", "assumed")
+
+    def of(self, index: Ints) -> Ints:
+        """Cells (m, 2) of the sheet at steps (m, 2) of the map's lattice."""
+        return np.asarray(self.side.cell(index) + np.array(self.first))
+
+    def numbers(self, index: Ints) -> Floats:
+        """Numbers (m, 7) of the design's lenslets at steps (m, 2) of the map's lattice."""
+        return self.side.numbers(self.of(index))
+
+    def __str__(self) -> str:
+        words = [f"{name} {at} ({how})" for name, at, how in zip("ij", self.first, self.known, strict=True)]
+        return ", ".join(words)
+
+
+def cells_in_map(side: Side, index: Ints, empty: Ints, stated: tuple[int, int] | None) -> ShownCells:
+    """Find which cells of the sheet a map shows, by the edge of the array where it is in the map.
+
+    index, empty : (m, 2), (k, 2) Steps of the map's lattice with a lenslet, and with none.
+    stated : Cell nearest to the middle of the map, or None.
+    Raises BadRequest: The sheet has no such cell.
+    """
+    lattice = side.window.lattice
+    if stated is not None:
+        if not lattice.contains(np.array(stated)):
+            raise BadRequest(f"cell {stated[0]},{stated[1]}: the sheet has no such cell")
+        return ShownCells(side, stated, ("stated", "stated"))
+    middle = np.array(central_cell(side.window))
+    none = np.zeros((0, 2), dtype=np.int64)
+    some = len(empty) >= FEWEST_EMPTY
+    fitting = _fitting(lattice, side.cell(index), side.cell(empty)) if some else none
+    if not len(fitting):
+        return ShownCells(side, (int(middle[0]), int(middle[1])))
+    first = fitting[np.argmin(np.abs(fitting - middle).sum(axis=1))]
+    alone = np.ptp(fitting, axis=0) == 0
+    known = ["edge" if one else "assumed" for one in alone]
+    return ShownCells(side, (int(first[0]), int(first[1])), (known[0], known[1]))
+
+
+FEWEST_EMPTY = 2
+"""Fewest places without a lenslet that are an edge of an array; a single one may be damage."""
+
+
+def _fitting(lattice: Lattice, held: Ints, empty: Ints) -> Ints:
+    """Displacements (n, 2) by which cells `held` are kept ones of a lattice, and none of `empty`."""
+    kept = lattice.cells()
+    low, high = kept.min(axis=0) - held.max(axis=0), kept.max(axis=0) - held.min(axis=0)
+    moves = np.stack(
+        [one.ravel() for one in np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)))],
+        axis=1,
+    )
+    for cells, wanted in ((held, True), (empty, False)):
+        for cell in cells:
+            moves = moves[lattice.contains(moves + cell) == wanted]
+    return moves
+
+
+ALONG = 17
+"""Places along a side of an aperture where heights are compared."""
+
+
+def _signs(face: Face) -> tuple[float, float]:
+    return AXES["front" if face.side > 0 else "back"]
+
+
+def _steps(lattice: Pattern) -> Floats:
+    """Columns: steps of a lattice."""
+    return np.column_stack([lattice.a1, lattice.a2])
+
+
+def _seen(lattice: Lattice, signs: tuple[float, float]) -> Lattice:
+    """The lattice in the axes of a map: turned the other way where the map is a mirror image."""
+    mirrored = signs[0] * signs[1] < 0.0
+    return replace(lattice, turn=-lattice.turn, outline=None) if mirrored and lattice.turn else lattice
+
+
+def _outward(face: Face, u: Floats, v: Floats) -> Floats:
+    """Height (n,) of the design's lenslet above its vertex, out of the material, over places of a map's
     cell.
     """
-    sx, sy = AXES[name]
+    sx, sy = _signs(face)
     return np.asarray(-face.side * (lens_height(face, sx * u, sy * v) - face.vertex[2]))
 
 
@@ -98,44 +236,38 @@ def sides_of(window: Window, millimetre: float) -> dict[Name, Side]:
     """Sides of a sheet that a map can be compared with.
 
     millimetre : Lengths of a design unit in a millimetre.
-    Raises NotPossible: The sheet is non-uniform; lenses are tilted; or an array has lenses inside the sheet.
+    Raises NotPossible: The sheet has no curved faces, or lenslets of a side have power along one axis only.
     """
-    if not window.uniform:
-        raise NotPossible("maps are not compared with non-uniform sheets")
-    curved = [face for body in window.bodies for face in (body.front, body.back) if face.array is not None]
-    outer = (window.bodies[0].front, window.bodies[-1].back)
-    if len(curved) != 2 or any(face is not one for face, one in zip(curved, outer, strict=True)):
-        raise NotPossible(
-            f"{window.name}: its lenslets are not the two outer faces of the sheet: a map of one"
-            f" side shows not all of"
-            " them"
-        )
-    if not all(face.untilted for face in curved):
-        raise NotPossible(f"{window.name}: its lenses are tilted: their numbers are not those of a map")
+    curved = [
+        (body, face) for body in window.bodies for face in (body.front, body.back) if face.array is not None
+    ]
+    if len(curved) < 2:
+        raise NotPossible(f"{window.name}: it has no two arrays of lenslets that maps could show")
     names: tuple[Name, Name] = ("front", "back")
-    return {name: _side(name, window, face, millimetre) for name, face in zip(names, outer, strict=True)}
+    return {
+        name: _side(name, window, *one, millimetre)
+        for name, one in zip(names, (curved[0], curved[-1]), strict=True)
+    }
 
 
-def _side(name: Name, window: Window, face: Face, millimetre: float) -> Side:
+def _side(name: Name, window: Window, body: Body, face: Face, millimetre: float) -> Side:
     assert face.array is not None
-    aperture = aperture_of(window.lattice_of(face.array), millimetre)
-    surface = face.surface
-    curvatures = surface.curvature_x, surface.curvature_y
-    if 0.0 in curvatures:
+    aperture = aperture_of(_seen(window.lattice_of(face.array), _signs(face)), millimetre)
+    if 0.0 in (face.surface.curvature_x, face.surface.curvature_y):
         raise NotPossible(
             f"{window.name}: the {name} has cylinders: a lenslet of a map has power along both axes"
         )
-    sx, sy = AXES[name]
-    start = np.array(
-        [
-            sx * face.vertex[0],
-            sy * face.vertex[1],
-            0.0,
-            0.5 * sum(curvatures),
-            0.0,
-            0.25 * (curvatures[0] - curvatures[1]),
-            0.0,
-        ]
+    lenslet = fit_heights(
+        aperture, lambda u, v: _outward(face, u, v), _parabola(aperture, lambda u, v: _outward(face, u, v))
     )
-    lenslet = fit_heights(aperture, lambda u, v: _outward(face, u, v, name), start)
-    return Side(name, window, face, aperture, lenslet, millimetre)
+    return Side(name, window, body, face, aperture, lenslet, millimetre)
+
+
+def _parabola(aperture: Aperture, heights: Callable[[Floats, Floats], Floats]) -> Floats:
+    """Numbers (7,) near those of a lenslet: of the parabola through it, from which a fit starts."""
+    u, v = aperture.grid(ALONG)
+    known = np.column_stack([np.ones(len(u)), u, v, u * u, v * v, u * v])
+    z0, gx, gy, xx, yy, xy = np.linalg.lstsq(known, heights(u, v), rcond=None)[0]
+    x0, y0 = np.linalg.solve([[2.0 * xx, xy], [xy, 2.0 * yy]], [-gx, -gy])
+    top = z0 + 0.5 * (gx * x0 + gy * y0)
+    return np.array([x0, y0, top, -(xx + yy), 0.0, -0.5 * (xx - yy), -0.5 * xy])

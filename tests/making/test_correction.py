@@ -28,8 +28,8 @@ from clacad.cli import main
 from clacad.design import load
 from clacad.making.correction import correct
 from clacad.measuring.measure import measure
+from clacad.measuring.measured import write_measured
 from clacad.measuring.read_map import read_map
-from clacad.measuring.write_measured import write_measured
 from clacad.storage.errors import BadRequest
 
 

@@ -11,9 +11,12 @@ from measuring.made_parts import Made
 from measuring.test_measure import SAMPLES, SPHERE, WINDOW, mapped
 
 from clacad.light.measure import measure as measure_light
+from clacad.measuring import fit_lenslets as fit_module
 from clacad.measuring.find_lattice import NotMeasurable
+from clacad.measuring.fit_lenslets import aperture_of, fit_lenslets
+from clacad.measuring.map_accuracy import Condition, map_accuracy
 from clacad.measuring.measure import measure
-from clacad.measuring.read_map import load, read_map
+from clacad.measuring.read_map import MeasuredMap, load, read_map
 from clacad.optics.surface.sag_and_normal import Quadric
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import RequestedLaw, bundle
@@ -201,3 +204,71 @@ def test_a_closed_mesh_is_no_surface(tmp_path):
     trimesh.creation.box((1.0, 1.0, 1.0)).export(tmp_path / "box.stl")
     with pytest.raises(UnreadableFile, match="faces up"):
         read_map(tmp_path / "box.stl", "mm")
+
+
+def pulls(number: int) -> np.ndarray:
+    """Errors of radius, conic constant and astigmatism of a random part's lenslets over their uncertainties."""
+    random = np.random.default_rng(1000 + number)
+    made = Made(
+        radius=SPHERE * random.uniform(0.8, 1.5), conic=random.uniform(-1.0, 1.0), pixel=random.uniform(0.006, 0.014),
+        pitch=(0.5, 0.5), size=170, noise=10e-6 * 2.0 ** random.uniform(0.0, 2.0), lost=random.uniform(0.0, 0.25),
+        turn=random.uniform(-0.5, 0.5), astigmatism=random.normal(0.0, 3e-4), seed=number, dirt=3, spikes=5,
+    )  # fmt: skip
+    aperture = aperture_of(prescribe(WINDOW).lattice, 1.0)
+    start = np.array([0.0, 0.0, 0.0, 1.0 / made.radius, 0.0, 0.0, 0.0])
+    found = fit_lenslets(
+        mapped(made).scaled(1e-3, 1e-3),
+        prescribe(WINDOW).lattice,
+        aperture,
+        lambda at: np.tile(start, (len(at), 1)),
+    )
+    own = np.array([1.0 / made.radius, made.conic, made.astigmatism])
+    return (found.values[:, 3:6] - own) / found.u[:, 3:6]
+
+
+@pytest.mark.slow
+def test_errors_of_lenslets_of_other_radii_pixels_and_noise_are_as_large_as_stated():
+    """Of Gaussian errors that are 1.2 times smaller than stated 98 % lie within twice the statement."""
+    every = np.concatenate([pulls(number) for number in range(10)])
+    assert len(every) >= 20
+    assert 0.6 < np.sqrt(np.mean(every**2)) < 1.05
+    assert np.mean(np.abs(every) < 2.0) >= 0.93
+
+
+@pytest.mark.parametrize(
+    ("name", "other"), [("PRIOR", 10.0), ("PRIOR", 0.1), ("PRESENT", 0.7), ("THIN", 1200)]
+)
+def test_settings_of_the_fit_decide_nothing(name, other, monkeypatch):
+    before = pulls(3)
+    monkeypatch.setattr(fit_module, name, other)
+    after = pulls(3)
+    assert len(after) == len(before)
+    assert np.abs(after - before).max() < 0.3
+
+
+def test_a_pixel_that_averages_the_surface_changes_no_radius():
+    """Means over 5 x 5 places of each pixel, in place of its middle."""
+    fine = Made(pixel=0.0025, size=600, noise=0.0, lost=0.0, rim=0.0, spikes=0, dirt=0)
+    z = fine.heights().reshape(120, 5, 120, 5).mean(axis=(1, 3)) * 1e-3
+    row, column = (one.ravel() for one in np.indices(z.shape))
+    at = (np.stack([column, row]) - 60.0 + 0.4) * 12.5e-6
+    averaged = MeasuredMap("map", np.vstack([at, z.ravel()]), (12.5e-6, 12.5e-6), z.shape)
+    found = measure(WINDOW, averaged, z_scale=1.0)
+    assert found.radii()["front"][0] == pytest.approx(SPHERE, rel=2e-5)
+
+
+@pytest.mark.slow
+def test_error_of_light_grows_with_noise_and_stays_within_its_statement():
+    conditions = [
+        Condition(across=30.0, noise=5e-9),
+        Condition(across=30.0, noise=40e-9),
+        Condition(name="12 pixels across a lenslet", across=12.3, noise=5e-9),
+        Condition(name="tilted", across=30.0, noise=5e-9, tilt=0.2),
+        Condition(name="scale 1 % off", across=30.0, noise=5e-9, z_scale=1.01, stated=False),
+    ]
+    rows = map_accuracy(WINDOW, conditions)
+    assert all(abs(row.error) <= 2.0 * row.half for row in rows)
+    assert rows[1].half > 2.0 * rows[0].half
+    assert rows[4].half > 10.0 * rows[0].half  # R over the scale is one number
+    assert {row.verdict for row in rows} <= {"pass", "cannot say"}
+    assert rows[0].to_dict()["pixels_across"] == 30.0

@@ -123,3 +123,20 @@ def test_numbers_table_and_deviation_maps_are_written_next_to_the_report(parts, 
     assert 'id="measured"' in (tmp_path / "out" / "report.html").read_text()
     assert main([*words, "-o", str(tmp_path / "out"), "-q"]) == 0  # its own files are replaced
     assert load("window-100mm").sha256 == numbers["design"]["sha256"]
+
+
+def test_the_design_alone_has_the_table_of_a_measured_part(capsys):
+    assert main(["check", DESIGN, "--json", "--set", "lattice.count=[8,8]"]) in (0, 1)
+    rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["iso_14880"]}
+    assert len(rows) == 20
+    for side in ("front", "back"):
+        assert float(rows[f"{side}: radius of curvature"]["design"]) == pytest.approx(SPHERE, rel=1e-5)
+        assert float(rows[f"{side}: pitch x"]["design"]) == 0.5
+        # a sphere is as deep as its radius less the height over the corner of a cell
+        deep = SPHERE - (SPHERE**2 - 0.125) ** 0.5
+        assert float(rows[f"{side}: surface modulation depth"]["design"]) == pytest.approx(deep, rel=1e-4)
+        # a plano lens of glass of index n has f = R / (n - 1)
+        f = SPHERE / (1.493629 - 1.0)
+        assert float(rows[f"{side}: focal length, as derived"]["design"]) == pytest.approx(f, rel=1e-4)
+    assert main(["check", DESIGN, "--all", "--set", "lattice.count=[8,8]"]) in (0, 1)
+    assert "in the terms of ISO 14880" in capsys.readouterr().out
