@@ -9,7 +9,7 @@ import pytest
 from benchmarks.house import measured
 
 MOST = {
-    "modules": 512,
+    "modules": 516,
     "modules imported by one other only": 82,
     "modules under 60 lines": 13,
     "lines over 110 characters": 0,

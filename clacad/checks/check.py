@@ -115,7 +115,6 @@ FAMILIES = (
     "clacad.checks.design_kinds",
     "clacad.checks.light_kinds",
     "clacad.checks.file_kinds",
-    "clacad.checks.scan_kinds",
     "clacad.checks.check",
 )
 """Modules that declare kinds of checks, in the order in which stages run their functions."""

@@ -37,7 +37,7 @@ class ProcessProfile:
         Greatest height of a whole part, and greatest side of its bounding rectangle, seen along z.
     materials : Kinds and names of materials that can be worked; empty: any.
     source : Source of the numbers.
-    made : What the process leaves, see `clacad.making.process`: nose, feed, spot, gamma, levels, layer,
+    made : What the process leaves, see `clacad.design.process`: nose, feed, spot, gamma, levels, layer,
         shrinkage in the sheet (`lateral`) and in height, sink; metres and ratios. substrate: 1 where the
         lenslets alone shrink, on a base that keeps its thickness.
     made_source : Source of those.

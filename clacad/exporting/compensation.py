@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from clacad.design.process_profiles import profile
+from clacad.design.process import process_of
 from clacad.sheet.shrunk import bent_window, grown_window, growth
 
 if TYPE_CHECKING:
@@ -50,19 +50,10 @@ class Compensation:
 
 def compensation_of(design: Design) -> Compensation:
     """Compensation for the process of a design: section [process] over the defaults of `check.process`."""
-    spec, of = design.process, profile(design.check.process)
-    lateral, height = of.made["lateral"], of.made["height"]
-    shrinkage = (lateral, lateral, height) if spec.shrinkage is None else spec.shrinkage
-    thickness = spec.thickness
-    if thickness is None:
-        thickness = 0.0 if of.made["substrate"] else shrinkage[2]
-    sink = of.made["sink"] / design.unit_m if spec.sink is None else spec.sink
-    return Compensation(of.name, shrinkage, thickness, sink)
+    process = process_of(design)
+    return Compensation(process.name, process.shrinkage, process.thickness, process.sink / design.unit_m)
 
 
 def nose_of(design: Design) -> float | None:
     """Radius (length) of the nose of a design's process; None where it has no tool."""
-    nose = design.process.nose
-    if nose is None:
-        nose = profile(design.check.process).made["nose"] / design.unit_m
-    return nose if nose > 0.0 else None
+    return process_of(design).nose / design.unit_m or None

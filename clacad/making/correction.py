@@ -23,8 +23,8 @@ import numpy as np
 from clacad.base.text import percent_text, printable
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
+from clacad.design.process import process_of
 from clacad.formats.maps.dose import Calibration, read_calibration
-from clacad.making.process import process_of
 from clacad.measuring.find_lattice import Found
 from clacad.measuring.fit_lenslets import Aperture, fit_heights, legendre, pooled_form, shrunk
 from clacad.measuring.light_through_form import law_rms_of_form

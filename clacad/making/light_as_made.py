@@ -17,10 +17,10 @@ import numpy as np
 from clacad.base.text import mrad_text, percent_text, plain
 from clacad.base.types import Floats
 from clacad.checks.check import Check
-from clacad.checks.scan_kinds import MADE_LIGHT, MADE_SEAM, MADE_TEXTURE
+from clacad.checks.file_kinds import MADE_LIGHT, MADE_SEAM, MADE_TEXTURE
+from clacad.design.process import Process, process_of
 from clacad.light.measure import Light, measure
 from clacad.making.made_surface import Lenslet, MadeSurface, made_face, made_surface, read_curve
-from clacad.making.process import Process, process_of
 from clacad.making.texture import texture_of, texture_phase
 from clacad.measuring.light_through_form import PHASE
 from clacad.optics.rays import Fate, TraceResult

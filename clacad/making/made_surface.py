@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Bools, Floats
-from clacad.making.process import Process
+from clacad.design.process import Process
 from clacad.optics.surface.sag_and_normal import (
     Biconic,
     EvenPolynomial,

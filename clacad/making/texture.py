@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf, pi, sqrt
 
-from clacad.making.process import Process
+from clacad.design.process import Process
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +71,7 @@ def texture_of(process: Process, sag: float) -> float:
 
     Examples
     --------
-    >>> from clacad.making.process import Process
+    >>> from clacad.design.process import Process
     >>> from clacad.making.texture import texture_of
     >>> f"{texture_of(Process('greyscale', levels=256), 25.5e-6) * 1e9:.1f} nm"
     '28.9 nm'

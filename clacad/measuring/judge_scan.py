@@ -11,7 +11,7 @@ import numpy as np
 
 from clacad.base.text import mrad_text, percent_text
 from clacad.checks.check import Check, CheckKind
-from clacad.checks.scan_kinds import CANNOT_SAY, SCAN_FORM, SCAN_LIGHT, SCAN_PITCH, SCAN_RADIUS, SCAN_SEAM
+from clacad.checks.file_kinds import CANNOT_SAY, SCAN_FORM, SCAN_LIGHT, SCAN_PITCH, SCAN_RADIUS, SCAN_SEAM
 from clacad.measuring.form_and_seams import Surface
 from clacad.measuring.light_through_form import PHASE, FormLight
 from clacad.measuring.measured import form_rms, mean_radius

@@ -1,4 +1,4 @@
-"""The result of a measurement: lenslets, light and verdict of a part as an instrument measured it; its files."""
+"""The result of a measurement: lenslets, light and verdict of a part as an instrument measured it; files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from clacad.base.text import mrad_text, percent_text, plain, table
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.checks.check import Check, short_table
-from clacad.checks.scan_kinds import CANNOT_SAY
+from clacad.checks.file_kinds import CANNOT_SAY
 from clacad.measuring.fit_lenslets import NAMES
 from clacad.measuring.form_and_seams import Surface
 from clacad.measuring.light_through_form import FormLight

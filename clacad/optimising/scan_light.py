@@ -47,7 +47,7 @@ NO_AXIS = "a scan along the normal focuses: no beam is steered, and its spread i
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
+class _Position:
     """Light of a trial at every position (p).
 
     residuals : (p, 2 n) radians. Exit slopes about their mean: their sum of squares is the spread squared.
@@ -80,8 +80,8 @@ class ScanLight:
     rays: Rays
     travels: tuple[float, ...]
     by_law: Floats
-    start: _Seen = field(init=False)
-    _last: tuple[Window, _Seen] | None = None
+    start: _Position = field(init=False)
+    _last: tuple[Window, _Position] | None = None
 
     @staticmethod
     def of(scan: Scan, window: Window) -> ScanLight:
@@ -101,11 +101,11 @@ class ScanLight:
         light.start = light.seen(one)
         return light
 
-    def seen(self, trial: Window) -> _Seen:
+    def seen(self, trial: Window) -> _Position:
         """Light of a trial at every position; that of the last trial is kept."""
         if self._last is None or self._last[0] is not trial:
             rows = [self._at(moved_plates(trial, self.scan.displacements(trial, at))) for at in self.travels]
-            self._last = trial, _Seen(*(np.array(column) for column in zip(*rows, strict=True)))
+            self._last = trial, _Position(*(np.array(column) for column in zip(*rows, strict=True)))
         return self._last[1]
 
     def _at(self, there: Window) -> tuple[Floats, Floats, Floats, float]:

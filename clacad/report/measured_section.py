@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.drawn_figure import drawn, no_formula
-from clacad.making.process import Process
+from clacad.design.process import Process
 from clacad.measuring.form_and_seams import Surface
 from clacad.measuring.measured import Measured, iso_rows
 from clacad.report.content import data_uri

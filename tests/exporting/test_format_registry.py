@@ -55,6 +55,7 @@ OTHER_MEANINGS = {
     "scene": {"cli/export_command.py", "design/sections.py", "scene/model.py", "scene/read.py",
               "scene/rules.py"},  # scene files
     "step": {"cli/export_command.py", "exporting/request.py",
+             "cli/check_command.py", "cli/new_command.py",  # the command to run next
              "stacking/make_stack.py", "cli/stack_command.py",  # the option --step, a default
              "verification/accuracy/accuracy_plot.py", "verification/accuracy/accuracy_row.py",
              "verification/accuracy/measure_rungs.py",  # a rung

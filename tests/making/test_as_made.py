@@ -13,11 +13,11 @@ from scipy.ndimage import gaussian_filter
 
 import clacad
 from clacad.cli import main
+from clacad.design.process import Process, process_of
 from clacad.design.process_profiles import profiles
 from clacad.explain.look_up import explain
 from clacad.making.light_as_made import judge_as_made, light_as_made
 from clacad.making.made_surface import MadeSurface, made_surface, read_curve, shrunk
-from clacad.making.process import Process, process_of
 from clacad.making.texture import scallop, step_rms, texture_of
 from clacad.measuring.light_through_form import texture_share
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric

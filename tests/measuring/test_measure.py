@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from measuring.made_parts import Made
 
-from clacad.checks.scan_kinds import CANNOT_SAY
+from clacad.checks.file_kinds import CANNOT_SAY
 from clacad.design import load
 from clacad.light.measure import measure as measure_light
 from clacad.measuring.find_lattice import NotMeasurable

@@ -48,7 +48,7 @@ ELSEWHERE = {
     "making/light_as_made.py": "key of [process]",
     "making/correction.py": "field of what is measured, in the history of a correction",
     "cli/correct_command.py": "field of what is measured, in the history of a correction",
-    "making/process.py": "key of [process]",
+    "design/process.py": "key of [process]",
     "stacking/assembly.py": "states in the manifest what was compared",
     "formats/step/lenses_on_cells.py": "field of what is read from a STEP file",
     "formats/step/read_back.py": "field of what is read from a STEP file",

@@ -39,7 +39,7 @@ class Process:
 
     Examples
     --------
-    >>> from clacad.making.process import Process
+    >>> from clacad.design.process import Process
     >>> Process("moulding", shrinkage=(0.004, 0.004, 0.004), thickness=0.004).uniform
     True
     """
@@ -82,7 +82,7 @@ def process_of(design: Design) -> Process:
     Examples
     --------
     >>> import clacad
-    >>> from clacad.making.process import process_of
+    >>> from clacad.design.process import process_of
     >>> process_of(clacad.load("window-100mm")).nose
     2.5e-05
     """
