@@ -89,7 +89,7 @@ SLOW = [
     "atlas --rows F1 --out atlas --size 32 --samples 1 --no-movies", "export slab.toml -o out --format step,3mf,glb", "optimise slab.toml -o better.toml --compare page.html",
     "new wished --for eta=-1,width=5mm,viewing=1m",
 ]  # fmt: skip
-CHECKED = {"check", "schema", "calibrate"}
+CHECKED = {"check", "schema", "calibrate", "correct"}
 """Commands of tests of their own, and the one whose result is a JSON document."""
 
 

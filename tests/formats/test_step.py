@@ -17,7 +17,7 @@ import clacad
 from clacad.exporting.formats.step import step_bytes
 from clacad.formats.step import text_health
 from clacad.formats.step.step_files import read_step, step_text_length, write_step
-from clacad.formats.step.text_health import Scan, scan_step
+from clacad.formats.step.text_health import StepScan, scan_step
 from clacad.sheet.lattice import Circle, Rectangle
 from clacad.storage.errors import UnreadableFile
 
@@ -258,7 +258,7 @@ def test_a_large_file_is_scanned_as_a_small_one(tmp_path, monkeypatch, change):
     monkeypatch.setattr(text_health, "LARGE", 0)
     monkeypatch.setattr(text_health, "_CHUNK", 1 << 14)
     whole = scan_step(path)
-    names = [one.name for one in fields(Scan) if one.name not in ("parts", "points", "frames")]
+    names = [one.name for one in fields(StepScan) if one.name not in ("parts", "points", "frames")]
     np.testing.assert_array_equal(whole.frames, alone.frames)
     assert [getattr(whole, name) for name in names] == [getattr(alone, name) for name in names]
     for ours, theirs in ((whole.points.lookup(), alone.points.lookup()), (whole.groups[0], alone.groups[0])):

@@ -84,6 +84,11 @@ def test_without_the_scale_of_heights_one_round_is_made_and_said(tmp_path, capsy
     words = ["correct", of, "-o", str(tmp_path / "next"), "--json"]
     assert main([*words, "--measured", str(first)]) == 0
     state = json.loads(capsys.readouterr().out)
+    assert main(["correct", of, "-o", str(tmp_path / "text"), "--measured", str(first)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "round 1" in lines[0]
+    assert len(lines) <= 21
+    assert [line for line in lines if len(line) > 100 and len(line.split()) > 2] == []
     assert (state["round"], state["stopped"]) == (1, "")
     assert any("one round only" in note for note in state["notes"])
     before = (tmp_path / "next" / "command-front.npy").read_bytes()
