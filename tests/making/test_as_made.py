@@ -21,7 +21,10 @@ from clacad.making.made_surface import MadeSurface, made_surface, read_curve, sh
 from clacad.making.texture import scallop, step_rms, texture_of
 from clacad.measuring.light_through_form import texture_share
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric
+from clacad.sheet.bundle import bundle
 from clacad.storage.errors import NotPossible
+from clacad.tracing.worst_cell import worst_cell
+from clacad.verification.accuracy.measure_rungs import made_cost
 
 DATA = Path(__file__).parents[1] / "data" / "making"
 CASES = json.loads((DATA / "twin.json").read_text(encoding="utf-8"))["cases"]
@@ -420,3 +423,17 @@ def test_a_sheet_that_nothing_is_left_on_has_the_light_of_a_plain_trace(name):
     plain = clacad.measure_light(window, design.check.field, rays=4096)
     assert made.formed == made.everything == pytest.approx(plain.rms, rel=0.01)
     assert made.share_formed == pytest.approx(plain.share, abs=3e-3)
+
+
+@pytest.mark.slow
+def test_the_accuracy_row_sets_light_as_made_against_the_design(sheets):
+    design, window = sheets["window"]
+    cell = worst_cell(window, design.check.field)
+    row = made_cost(design, cell, bundle(cell.like, 2048, design.check.field))
+    plain = clacad.measure_light(window, design.check.field, rays=2048)
+    assert row.designed == pytest.approx(plain.rms, rel=1e-6)
+    assert row.everything > 10 * row.formed  # rounded seams own the error of all light
+    assert row.sentence().startswith("as designed against as made (diamond-turning)")
+    moire = clacad.load("window-100mm", ["lattice.count = [4, 4]", "lattice.rotation_2 = '0.1 deg'"])
+    with pytest.raises(NotPossible, match="arrays have different cells"):
+        light_as_made(moire, clacad.prescribe(moire), 64)

@@ -69,7 +69,8 @@ assert main(["accuracy", design, "--json", "-q", "--rays", "400"]) == 0
 """
 
 MEASURED = {
-    "seconds", "prepare_s", "write_s", "read_s", "one_line_s", "traced_s", "closed_s", "rays_per_s", "memory", "pareto",
+    "seconds", "prepare_s", "write_s", "read_s", "one_line_s", "traced_s", "closed_s", "designed_s", "made_s",
+    "rays_per_s", "memory", "pareto",
     "conclusion",
 }  # fmt: skip
 """Keys that `accuracy` reports of this machine at this moment; all others depend on the design alone."""
