@@ -124,7 +124,7 @@ def test_the_floor_of_each_format_is_confirmed_by_a_trace(table):
         "3mf, ply",
         "ply",
         "tiff",
-        "png, tiff",
+        "png, dose, tiff",
         "gds",
     }
     for floor, (_, forecast, found) in traced:

@@ -22,9 +22,10 @@ law_white, colour, temperature
     Defined as in the checks of the same names, of the worst of the traced cells; for designs that state them.
 
 Errors that differ from lenslet to lenslet have a mean of 0 and a standard deviation σ. The mean squares of
-law_rms, blur and law_white over all lenslets, and the mean throughput, change by σ² times half their second
-derivative to the error of one lenslet. That change is computed in the middle cell from errors of ±σ; those of
-several errors add up. The other measures are of a mean direction and do not change.
+law_rms, blur and law_white over all lenslets change by σ² times half their second derivative to the error of
+one lenslet. That change is computed in the middle cell from errors of ±σ; those of several errors add up. The
+mean throughput does not: light passes the rim of a lenslet from the first error on. Its change is the mean of
+lenslets drawn with all errors at once. The other measures are of a mean direction and do not change.
 """
 
 from __future__ import annotations
@@ -59,6 +60,9 @@ if TYPE_CHECKING:
 
 RAYS = 256
 """Rays of each bundle."""
+
+DRAWN = 32
+"""Lenslets drawn for the change of throughput by errors from lenslet to lenslet."""
 
 FEWEST_OF_BEAM = 8
 """Least number of rays of a parallel beam that must get through."""
@@ -144,6 +148,7 @@ class Bench:
     lines: Mapping[float, float] = field(default_factory=dict)
     kelvin: float = 0.0
     _known: dict[tuple[str, float], Floats] = field(init=False, default_factory=dict, repr=False)
+    _shares: dict[tuple[tuple[str, float], ...], float] = field(init=False, default_factory=dict, repr=False)
 
     def measured(self, errors: Errors) -> dict[str, float]:
         """All measures of the sheet made with these errors; NaN where too little light is transmitted."""
@@ -182,7 +187,7 @@ class Bench:
 
     def scattered(self, scatter: Errors) -> dict[str, float]:
         """Changes of mean squares of law_rms and blur, and of throughput, by errors of each lenslet."""
-        total = np.zeros(3)
+        total = np.zeros(2)
         for name, sigma in scatter.items():
             key = (name, sigma)
             if sigma and key not in self._known:
@@ -190,14 +195,29 @@ class Bench:
                 ends = [self._squares({name: way * sigma}, middle["beam"]) for way in (1.0, -1.0)]
                 self._known[key] = 0.5 * (ends[0] + ends[1]) - self._squares({}, middle["beam"])
             total = total + self._known.get(key, 0.0)
-        return dict(zip(("law_rms", "blur", "throughput"), (float(one) for one in total), strict=True))
+        return {"law_rms": float(total[0]), "blur": float(total[1]), "throughput": self._lost(scatter)}
 
     def _squares(self, errors: Errors, designed: Light) -> Floats:
-        """Mean squares of law_rms and of angles to the mean direction as designed, and throughput."""
+        """Mean squares of law_rms and of angles to the mean direction as designed."""
         light = self.light(errors, self.places[0])
         beam = light["beam"]
         blur = beam.spread**2 + float(np.sum((beam.mean - designed.mean) ** 2))
-        return np.array([light["cone"].rms ** 2, blur, light["cone"].share])
+        return np.array([light["cone"].rms ** 2, blur])
+
+    def _lost(self, scatter: Errors) -> float:
+        """Change of throughput: the mean of `DRAWN` lenslets of the middle cell, always the same ones."""
+        sigmas = {name: sigma for name, sigma in scatter.items() if sigma}
+        key = tuple(sorted(sigmas.items()))
+        if key and key not in self._shares:
+            drawn = np.random.default_rng(0).standard_normal((DRAWN, len(key)))
+            shares = [
+                self.light({name: sigma * x for (name, sigma), x in zip(key, row)}, self.places[0])[
+                    "cone"
+                ].share
+                for row in drawn.tolist()
+            ]
+            self._shares[key] = float(np.mean(shares)) - self.light({}, self.places[0])["cone"].share
+        return self._shares.get(key, 0.0)
 
     def light(self, errors: Errors, place: Floats | None = None) -> dict[str, Light]:
         """Light of each bundle through one cell of a sheet with these errors; default the sheet's middle."""
