@@ -60,7 +60,7 @@ def test_a_scaled_starter_that_misses_the_wish_is_searched():
     assert "scaled to the wish" in text
     assert "searched" in text
     assert found.judged.passes
-    assert found.design.law.eta == (-0.9, -0.9)
+    assert found.design.law_spec.eta == (-0.9, -0.9)
 
 
 def test_only_wishes_for_wide_fields_take_this_way():
