@@ -331,6 +331,8 @@ def _draw_pairs(ax: Any) -> None:
     ax.set(
         xscale="log", xlabel="|eta| of a pair, s/p = 20", ylabel="share along one axis", ylim=(-0.03, 1.05)
     )
+    ax.set_xticks([0.25, 0.5, 1.0, 2.0, 4.0], ["0.25", "0.5", "1", "2", "4"])
+    ax.set_xticks([], minor=True)
     ax.legend(frameon=False)
 
 
