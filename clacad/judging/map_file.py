@@ -26,11 +26,13 @@ from clacad.formats.maps.sag import structured_faces
 from clacad.judging.delivery import Inspection, Subject
 from clacad.judging.file_light import light_checks, measure_light
 from clacad.judging.mesh_light import lit_cells, seen_cell
+from clacad.light.measure import Send
 from clacad.sheet.like_cell import named_cell
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.window import Face, Window
 from clacad.storage.errors import BadRequest, ExportError, UnreadableFile
 from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, FacetBody, sampled_face, trace_facets
+from clacad.tracing.worst_cell import SeenCell
 
 RAYS, POINT_RAYS = 8192, 1024
 """Most rays of the main bundle, and of each field point."""
@@ -58,17 +60,20 @@ def map_light(asked: Inspection, window: Window, subject: Subject, kind: FileKin
     except (ExportError, OSError, ValueError) as error:
         why = f"no light can be sent through it: {error}"
         return [kind.not_run(why, **asked.common) for kind in THROUGH_FILE]
-    seen = measure_light(
-        asked.design,
-        one.like,
-        lambda lit: trace_facets(through, one.placed(lit).rays),
-        min(asked.rays, RAYS),
-        POINT_RAYS,
-        cell if window.uniform else None,
-        one.send,
-    )
     what = f"bicubic surface ({kind.word}, {label}; the other faces as designed)"
-    return light_checks(asked, seen, what, cells=() if window.uniform else (cell,))
+    return light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)
+
+
+def light_of_cell(asked: Inspection, one: SeenCell, send: Send, what: str) -> list[Check]:
+    """Checks of light through one cell of a file: of a uniform sheet any, of others that cell is named.
+
+    send : Through the file, as `measure_light` takes it.
+    what : Surface that light meets, for the sentences.
+    """
+    cell = (int(one.cell[0]), int(one.cell[1]))
+    lit, named = (cell, ()) if one.window.uniform else (None, (cell,))
+    seen = measure_light(asked.design, one.like, send, min(asked.rays, RAYS), POINT_RAYS, lit, one.send)
+    return light_checks(asked, seen, what, cells=named)
 
 
 def made_bodies(

@@ -22,8 +22,7 @@ from clacad.checks.file_kinds import READABLE, SHAPE, THROUGH_FILE, unreadable
 from clacad.exporting.formats.file_kind import FaceFile
 from clacad.exporting.formats.workshop import is_insert, surface_misfit
 from clacad.formats.maps.sag import structured_faces
-from clacad.judging.file_light import light_checks, measure_light
-from clacad.judging.map_file import DAMAGED, POINT_RAYS, RAYS, made_bodies
+from clacad.judging.map_file import DAMAGED, light_of_cell, made_bodies
 from clacad.judging.mesh_light import lit_cells, seen_cell
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.shrunk import TURN, growth, insert_window
@@ -143,17 +142,8 @@ def _light(
     like = one.like.faces[number]
     made, step = _made(one.like, like, of, points, cell, compensation)
     through = made_bodies(one.like, like, cell, made, step)
-    seen = measure_light(
-        asked.design,
-        one.like,
-        lambda lit: trace_facets(through, one.placed(lit).rays),
-        min(asked.rays, RAYS),
-        POINT_RAYS,
-        cell if window.uniform else None,
-        one.send,
-    )
     what = f"form of the part that it makes ({of.label}; the other faces as designed)"
-    return light_checks(asked, seen, what, cells=() if window.uniform else (cell,))
+    return light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)
 
 
 def _made(
@@ -253,16 +243,8 @@ def judge_scaled(
         return [*dark, *(one.not_run(why, **asked.common) for one in THROUGH_FILE)]
     cell = central_cell(window) if window.uniform else lit_cells(window, asked.design.check.field)[0]
     one = seen_cell(window, cell)
-    seen = measure_light(
-        asked.design,
-        one.like,
-        lambda lit: one.send(one.placed(lit)),
-        min(asked.rays, RAYS),
-        POINT_RAYS,
-        cell if window.uniform else None,
-        one.send,
-    )
-    return [*dark, *light_checks(asked, seen, "faces as the process makes them of it")]
+    what = "faces as the process makes them of it"
+    return [*dark, *light_of_cell(asked, one, lambda lit: one.send(one.placed(lit)), what)]
 
 
 def named_uncompensated(
