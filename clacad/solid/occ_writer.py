@@ -8,7 +8,9 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from OCP.Bnd import Bnd_Box
 from OCP.BRep import BRep_Builder
+from OCP.BRepBndLib import BRepBndLib
 from OCP.BRepCheck import BRepCheck_Analyzer
 from OCP.BRepGProp import BRepGProp
 from OCP.collections import (
@@ -249,11 +251,21 @@ def volume(shape: Any) -> float:
     """
     faces = explored(shape, TopAbs_FACE)
     whole = _adaptive(shape, QUADRATURE)
+    room = SETTLED * abs(whole) / len(faces) + _rounding(shape)
     for face in faces[:: 1 + (len(faces) - 1) // FACES_TRIED]:
         one, other = (_adaptive(face, relative) for relative in (QUADRATURE, 0.01 * QUADRATURE))
-        if abs(other - one) > SETTLED * abs(whole) / len(faces):
+        if abs(other - one) > room:
             return careful_volume(shape, SUFFICIENT)
     return whole
+
+
+def _rounding(shape: Any) -> float:
+    """Volume (mm³) below a shape that rounding of its heights to doubles can add: far from the origin, much."""
+    box = Bnd_Box()
+    BRepBndLib.Add_s(shape, box, False)
+    low, high = box.CornerMin(), box.CornerMax()
+    far = max(abs(low.Z()), abs(high.Z()))
+    return float(np.spacing(far)) * (high.X() - low.X()) * (high.Y() - low.Y())
 
 
 def _adaptive(shape: Any, relative: float) -> float:
