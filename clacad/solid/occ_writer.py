@@ -265,7 +265,8 @@ def _rounding(shape: Any) -> float:
     BRepBndLib.Add_s(shape, box, False)
     low, high = box.CornerMin(), box.CornerMax()
     far = max(abs(low.Z()), abs(high.Z()))
-    return float(np.spacing(far)) * (high.X() - low.X()) * (high.Y() - low.Y())
+    area: float = (high.X() - low.X()) * (high.Y() - low.Y())
+    return float(np.spacing(far)) * area
 
 
 def _adaptive(shape: Any, relative: float) -> float:
