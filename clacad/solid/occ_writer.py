@@ -260,7 +260,7 @@ def volume(shape: Any) -> float:
 
 
 def _rounding(shape: Any) -> float:
-    """Volume (mm³) below a shape that rounding of its heights to doubles can add: far from the origin, much."""
+    """Volume (mm³) that rounding of heights to doubles can add to a shape: much, far from the origin."""
     box = Bnd_Box()
     BRepBndLib.Add_s(shape, box, False)
     low, high = box.CornerMin(), box.CornerMax()

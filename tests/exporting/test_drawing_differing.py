@@ -75,7 +75,7 @@ def test_the_pdf_says_the_same(drawn):
         ["pdftotext", "-layout", next(drawn.glob("*.pdf")), "-"], check=True, capture_output=True, text=True
     )
     words = re.sub(r"\s+", " ", made.stdout)
-    # a text of the views can stand between two lines of a note
+    # a text of the views can come between two lines of a note
     assert re.search(
         r"The sheet is not uniform \(lattice\.aperture\.point\): the views show the cell nearest .{0,40}?the middle",
         words,
