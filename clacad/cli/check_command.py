@@ -103,10 +103,7 @@ def _show(judged: Judged, forecast: list[dict[str, Any]], console: Console) -> N
         show_text(table([("in the terms of ISO 14880", "unit", "design"), *terms]))
     advice = advice_text(_advised(judged, console))
     if judged.made is not None:
-        rows = table(
-            [(f"as made by {judged.made.light.process.name}", "designed", "made"), *judged.made.light.rows()]
-        )
-        advice = "\n".join([rows, *(f"  {one}" for one in judged.made.advice), advice])
+        advice = "\n".join([*judged.made.lines(), advice])
     show_text(f"{advice}\n{judged.verdict()}".lstrip("\n"))
 
 

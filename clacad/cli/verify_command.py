@@ -206,8 +206,7 @@ def _text(report: Report, name: str, paths: str) -> str:
     lines = [name, *([f"  {first}"] if first else []), checks_text(report.checks)]
     lines += [table([one.row() for one in report.verdicts])] if report.verdicts else []
     if report.made is not None:
-        head = (f"as made by {report.made.light.process.name}", "designed", "made")
-        lines += [table([head, *report.made.light.rows()]), *(f"  {one}" for one in report.made.advice)]
+        lines += report.made.lines()
     lines += [_part(report)] if report.measured is not None else []
     lines += [f"report: {paths}"] if paths else []
     return "\n".join([*lines, report.verdict()])

@@ -50,9 +50,8 @@ def map_light(asked: Inspection, window: Window, subject: Subject, kind: FileKin
     cell = subject.cell
     described = window if cell is None else named_cell(window, cell)
     body, face = next((b, f) for b, f, name in structured_faces(described) if name == label)
-    if cell is None or window.uniform:
-        cell = central_cell(window) if window.uniform else lit_cells(window, asked.design.check.field)[0]
-    one = seen_cell(window, cell)
+    one = lit_cell(asked, window) if cell is None or window.uniform else seen_cell(window, cell)
+    cell = one.index
     like = next(f for _, f, name in structured_faces(one.like) if name == label)
     try:
         held = samples(FaceFile(described, body, face, label, subject.path), cell)
@@ -64,14 +63,19 @@ def map_light(asked: Inspection, window: Window, subject: Subject, kind: FileKin
     return light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)
 
 
+def lit_cell(asked: Inspection, window: Window) -> SeenCell:
+    """The cell through which light is sent: of a uniform sheet the central one, of others the worst."""
+    cell = central_cell(window) if window.uniform else lit_cells(window, asked.design.check.field)[0]
+    return seen_cell(window, cell)
+
+
 def light_of_cell(asked: Inspection, one: SeenCell, send: Send, what: str) -> list[Check]:
     """Checks of light through one cell of a file: of a uniform sheet any, of others that cell is named.
 
     send : Through the file, as `measure_light` takes it.
     what : Surface that light meets, for the sentences.
     """
-    cell = (int(one.cell[0]), int(one.cell[1]))
-    lit, named = (cell, ()) if one.window.uniform else (None, (cell,))
+    lit, named = (one.index, ()) if one.window.uniform else (None, (one.index,))
     seen = measure_light(asked.design, one.like, send, min(asked.rays, RAYS), POINT_RAYS, lit, one.send)
     return light_checks(asked, seen, what, cells=named)
 

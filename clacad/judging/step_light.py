@@ -83,14 +83,14 @@ def light_of_cells(
     light = measure_light(
         design, worst.like, lambda lit: send(worst.placed(lit)), rays, POINT_RAYS, exact=worst.send
     )
-    rms, cells = [light.light.rms], [(int(worst.cell[0]), int(worst.cell[1]))]
+    rms, cells = [light.light.rms], [worst.index]
     for one in tried:
         if (one.cell == worst.cell).all():
             continue
         lit = bundle(one.like, CELL_RAYS, design.check.field)
         found = Light(lit, send(one.placed(lit)), RequestedLaw.of(one.like), fewest=CELL_RAYS // 4)
         rms.append(np.inf if found.rms != found.rms else found.rms)
-        cells.append((int(one.cell[0]), int(one.cell[1])))
+        cells.append(one.index)
     return light, rms, cells
 
 

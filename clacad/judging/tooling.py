@@ -11,7 +11,7 @@ of that form the face through which rays are traced. Steps and facets are textur
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,9 +22,8 @@ from clacad.checks.file_kinds import READABLE, SHAPE, THROUGH_FILE, unreadable
 from clacad.exporting.formats.file_kind import FaceFile
 from clacad.exporting.formats.workshop import is_insert, surface_misfit
 from clacad.formats.maps.sag import structured_faces
-from clacad.judging.map_file import DAMAGED, light_of_cell, made_bodies
-from clacad.judging.mesh_light import lit_cells, seen_cell
-from clacad.sheet.representative_cells import central_cell
+from clacad.judging.map_file import DAMAGED, light_of_cell, lit_cell, made_bodies
+from clacad.optics.fit import legendre
 from clacad.sheet.shrunk import TURN, growth, insert_window
 from clacad.sheet.window import Face, Window, face_height
 from clacad.storage.errors import ExportError
@@ -82,7 +81,7 @@ def _read(
     named = [one for one in structured_faces(scaled) if f".{one[2]}." in subject.name]
     best: tuple[float, int, FaceFile, Floats] | None = None
     for body, face, label in named or structured_faces(scaled):
-        number = next(k for k, one in enumerate(scaled.faces) if one is face)
+        number = scaled.number_of(face)
         of = FaceFile(scaled, body, face, label, subject.path)
         if is_insert(kind.word):
             steel = insert_window(scaled, face, label)
@@ -136,12 +135,10 @@ def _light(
     asked: Inspection, window: Window, face: Face, of: FaceFile, points: Floats, compensation: Compensation
 ) -> list[Check]:
     """Checks of light through the part that the process makes of a file of one face."""
-    cell = central_cell(window) if window.uniform else lit_cells(window, asked.design.check.field)[0]
-    one = seen_cell(window, cell)
-    number = next(k for k, other_face in enumerate(window.faces) if other_face is face)
-    like = one.like.faces[number]
-    made, step = _made(one.like, like, of, points, cell, compensation)
-    through = made_bodies(one.like, like, cell, made, step)
+    one = lit_cell(asked, window)
+    like = one.like.faces[window.number_of(face)]
+    made, step = _made(one.like, like, of, points, one.index, compensation)
+    through = made_bodies(one.like, like, one.index, made, step)
     what = f"form of the part that it makes ({of.label}; the other faces as designed)"
     return light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)
 
@@ -196,29 +193,20 @@ def _form(of: FaceFile, points: Floats, middle: Floats) -> tuple[Form, Floats]:
     if inside.sum() < 24:
         raise ValueError(f"{inside.sum()} points lie over a cell; 24 and more give a form")
     degree = min(DEGREE, int(np.sqrt(inside.sum() / 2.0)) - 1)
-    base = _legendre(local[inside, 0], local[inside, 1], degree)
-    weights = np.linalg.lstsq(base, off[inside], rcond=None)[0]
-    return Form(half, degree, weights), half
+    base = legendre(local[inside, 0], local[inside, 1], (degree + 1) * (degree + 2) // 2)
+    return Form(half, np.linalg.lstsq(base, off[inside], rcond=None)[0]), half
 
 
+@dataclass(frozen=True, eq=False)
 class Form:
-    """A form over a cell: Legendre polynomials of u and v over half the cell, up to a total degree."""
+    """A form over a cell: coefficients (k,) of Legendre polynomials of u and v over half the cell (2,)."""
 
-    def __init__(self, half: Floats, degree: int, weights: Floats) -> None:
-        self._half, self._degree, self._weights = half, degree, weights
+    half: Floats
+    weights: Floats
 
     def __call__(self, u: Floats, v: Floats) -> Floats:
         """Height (n,) over places of the cell."""
-        return np.asarray(_legendre(u / self._half[0], v / self._half[1], self._degree) @ self._weights)
-
-
-def _legendre(u: Floats, v: Floats, degree: int) -> Floats:
-    """Products of Legendre polynomials (n, k) up to a total degree."""
-    from numpy.polynomial.legendre import legvander2d
-
-    every = legvander2d(u, v, [degree, degree]).reshape(len(u), degree + 1, degree + 1)
-    kept = np.add.outer(np.arange(degree + 1), np.arange(degree + 1)) <= degree
-    return np.asarray(every[:, kept])
+        return np.asarray(legendre(u / self.half[0], v / self.half[1], len(self.weights)) @ self.weights)
 
 
 # -- files of the whole part ---------------------------------------------------------------------------
@@ -241,8 +229,7 @@ def judge_scaled(
     if shape is None or shape.state != "pass":
         why = "the file is not what the process makes the part of"
         return [*dark, *(one.not_run(why, **asked.common) for one in THROUGH_FILE)]
-    cell = central_cell(window) if window.uniform else lit_cells(window, asked.design.check.field)[0]
-    one = seen_cell(window, cell)
+    one = lit_cell(asked, window)
     what = "faces as the process makes them of it"
     return [*dark, *light_of_cell(asked, one, lambda lit: one.send(one.placed(lit)), what)]
 

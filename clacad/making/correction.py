@@ -13,8 +13,7 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from hashlib import sha256
-from math import isfinite, sqrt
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -25,20 +24,23 @@ from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.design.process import process_of
 from clacad.formats.maps.dose import Calibration, read_calibration
+from clacad.making.texture import level_step, step_rms
 from clacad.measuring.find_lattice import Found
-from clacad.measuring.fit_lenslets import Aperture, fit_heights, legendre, pooled_form, shrunk
+from clacad.measuring.fit_lenslets import Aperture, conic, fit_heights, pooled_form, shrunk
 from clacad.measuring.light_through_form import law_rms_of_form
 from clacad.measuring.measure import Maps, fitted_sides
 from clacad.measuring.measured import NUMBERS
 from clacad.measuring.read_map import MeasuredMap, read_map
 from clacad.measuring.scales import HEIGHTS, Scale, Stated
 from clacad.measuring.sides import Name, Side, sides_of
+from clacad.optics.fit import legendre
 from clacad.prescription.prescribe import prescribe
-from clacad.storage.atomic import canonical_json, write_set
+from clacad.storage.atomic import canonical_json, file_hash, write_set
 from clacad.storage.errors import BadRequest
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.sheet.window import Window
 
 FORMAT = 1
 NODES = 128
@@ -98,16 +100,19 @@ class Correction:
         return f"{nano * self.rms:.3g} nm rms of form taken off (known to {nano * self.doubt:.2g} nm)"
 
     @cached_property
+    def _side(self) -> Side:
+        """The side as designed."""
+        return _side(prescribe(self.design), self.side, self.design.unit_m)
+
+    @cached_property
     def face(self) -> dict[str, float]:
         """Conic nearest to the command: radius, conic constant, and the rms (design units) that it leaves."""
-        side = _side(self.design, self.side)
+        side = self._side
         u, v = places(side)
         inside = side.aperture.holds(u, v)
         u, v, z = u[inside], v[inside], self.heights.ravel()[inside]
         spline = _surface(self.heights, side)
         found = fit_heights(side.aperture, lambda x, y: spline(x, y), side.lenslet)
-        from clacad.measuring.fit_lenslets import conic
-
         rest = z - conic(found, u, v, slopes=False)[0]
         return {
             "radius": 1.0 / float(found[3]),
@@ -161,7 +166,7 @@ class Correction:
         data = io.BytesIO()
         np.save(data, self.heights, allow_pickle=False)
         scale = millimetres(self.design.unit_m)
-        steps = _box(_side(self.design, self.side)) / NODES * scale
+        steps = _box(self._side) / NODES * scale
         scales = {"pixel_mm": steps.tolist(), "z_step_mm": scale, "z_at_0_mm": 0.0, "row_0": "bottom"}
         contents: dict[str, str | bytes] = {
             command: data.getvalue(),
@@ -233,15 +238,16 @@ def correct(
     if side not in ("front", "back"):
         raise BadRequest(f"side {printable(str(side))[:40]}: it is front or back")
     name = cast(Name, side)
-    of = _side(design, name)
+    window = prescribe(design)
+    of = _side(window, name, design.unit_m)
     last = _previous(design, name, previous, of)
-    digest = "" if isinstance(measured, MeasuredMap) else sha256(Path(measured).read_bytes()).hexdigest()
+    digest = "" if isinstance(measured, MeasuredMap) else file_hash(Path(measured))
     if digest and any(one.get("sha256") == digest for one in last.history):
         raise BadRequest(
             f"{Path(cast(str, measured)).name} was corrected in an earlier round; measure the next part"
         )
     maps = Maps(None, None, tilted, z_scale, lateral_scale, unit)
-    points, heights, facts = _deviation(design, of, measured, maps)
+    points, heights, facts = _deviation(design, window, of, measured, maps)
     facts |= {"sha256": digest} if digest else {}
     u, v, off, pixel = points
     found, doubt = pooled_form(u, v, off, of.aperture, pixel)
@@ -283,11 +289,10 @@ def _notes(design: Design, side: Side, heights: Scale) -> Iterator[str]:
     elif heights.half > 1e-3:
         yield f"the loop ends at the error of the scale of heights, {percent_text(heights.half, 2)}"
     process = process_of(design)
-    sag = side.sag * design.unit_m
-    step = process.layer or (sag / (process.levels - 1) if process.levels > 1 else 0.0)
+    step = process.layer or level_step(process, side.sag * design.unit_m)
     if step:
         what = f"layers of {1e9 * step:.3g} nm" if process.layer else f"{process.levels} levels"
-        yield f"{what}: {1e9 * step / sqrt(12.0):.3g} nm rms remain in every round"
+        yield f"{what}: {1e9 * step_rms(step):.3g} nm rms remain in every round"
     if process.nose:
         yield f"the nose of {1e6 * process.nose:.3g} µm rounds every seam: nothing can be commanded there"
 
@@ -315,8 +320,8 @@ def _added(form: Floats, side: Side) -> Floats:
 # -- the cell ------------------------------------------------------------------------------------------------
 
 
-def _side(design: Design, name: Name) -> Side:
-    return sides_of(prescribe(design), 1e-3 / design.unit_m)[name]
+def _side(window: Window, name: Name, unit_m: float) -> Side:
+    return sides_of(window, 1e-3 / unit_m)[name]
 
 
 def _box(side: Side) -> Floats:
@@ -361,6 +366,7 @@ Points = tuple[Floats, Floats, Floats, float]
 
 def _deviation(
     design: Design,
+    window: Window,
     side: Side,
     measured: str | os.PathLike[str] | MeasuredMap,
     maps: Maps,
@@ -370,7 +376,6 @@ def _deviation(
         path = Path(measured)
         if path.name.startswith("deviation") and path.suffix == ".npy":
             return _of_deviation_map(design, side, path)
-    window = prescribe(design)
     found, heights, _ = fitted_sides(design, window, maps.of(side.name, measured))
     one = found[side.name]
     check = design.check

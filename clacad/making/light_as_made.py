@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.base.text import mrad_text, percent_text, plain
+from clacad.base.text import mrad_text, percent_text, plain, table
 from clacad.base.types import Floats
 from clacad.checks.check import Check
 from clacad.checks.file_kinds import MADE_LIGHT, MADE_SEAM, MADE_TEXTURE
@@ -327,6 +327,11 @@ class JudgedAsMade:
             text = f"process.{light.key} costs most light: {percent_text(light.light, 2)}"
             found.append(text + (f"; {light.needed}" if light.needed else ""))
         return tuple(found)
+
+    def lines(self) -> list[str]:
+        """Table of the numbers, and the advice."""
+        head = (f"as made by {self.light.process.name}", "designed", "made")
+        return [table([head, *self.light.rows()]), *(f"  {one}" for one in self.advice)]
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-ready mapping."""

@@ -2,7 +2,7 @@
 
 In order: the ball nose of a tool closes the valleys between convex lenslets (sphere, torus along a seam, ball
 in a corner); a power or table changes heights; moulded lenslets sink in the middle; a Gaussian spot blurs;
-shrinkage scales. Shrinkage alone leaves a conic or polynomial face one, with other numbers (`shrunk`).
+shrinkage scales. Shrinkage alone leaves a conic or polynomial face one, with other numbers.
 Texture is not part of the surface, see `texture`.
 """
 
@@ -12,22 +12,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import sqrt
-from typing import Any
 
 import numpy as np
 
 from clacad.base.types import Bools, Floats
 from clacad.design.process import Process
 from clacad.optics.surface.sag_and_normal import (
-    Biconic,
     EvenPolynomial,
-    Quadric,
-    Surface,
     conic_constants,
     gradient,
     principal_radii,
     sag,
 )
+from clacad.sheet.shrunk import grown_surface
 from clacad.sheet.window import Face, Window, lens_height_and_normal, optical_tile
 from clacad.storage.errors import NotPossible
 from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, GraphFace
@@ -46,46 +43,6 @@ ON_SEAM = 65
 
 ROUNDS = 12
 """Steps by which the contact of a tool is found."""
-
-
-def shrunk(surface: Surface, scale: tuple[float, float, float]) -> Surface:
-    """Surface whose points are those of another times `scale` along x, y and z; exact.
-
-    Parameters
-    ----------
-    surface : Quadric, Biconic or EvenPolynomial
-    scale : (3,) tuple of float
-        1 − shrinkage along the axes of the lens.
-
-    Notes
-    -----
-    R' = R s_l²/s_z, 1 + K' = (1 + K)(s_l/s_z)², and a term x^i y^j has the factor s_z/(s_x^i s_y^j).
-
-    Examples
-    --------
-    >>> from clacad.making.made_surface import shrunk
-    >>> from clacad.optics.surface import Quadric
-    >>> shrunk(Quadric(0.5, 0.5, 0.5), (1.0, 1.0, 0.5)).curvature_x
-    0.25
-    """
-    sx, sy, sz = scale
-    cx, cy = surface.curvature_x * (sz / sx) / sx, surface.curvature_y * (sz / sy) / sy
-    if isinstance(surface, Quadric):
-        return Quadric(cx, cy, surface.kappa / sz, surface.side)
-    conics = [
-        one if ratio == 1.0 else (1.0 + one) * ratio * ratio - 1.0
-        for one, ratio in zip((surface.conic_x, surface.conic_y), (sx / sz, sy / sz), strict=True)
-    ]
-    if isinstance(surface, Biconic):
-        return Biconic(cx, cy, conics[0], conics[1], surface.side)
-    changed: dict[str, Any] = {
-        name: tuple(
-            term * sz / (sx ** (order - 2 * k) * sy ** (2 * k))
-            for k, term in enumerate(getattr(surface, name))
-        )
-        for name, order in (("a4", 4), ("a6", 6), ("a8", 8))
-    }
-    return EvenPolynomial(cx, cy, conics[0], conics[1], side=surface.side, **changed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -438,6 +395,9 @@ def made_face(made: MadeSurface, origin: Floats) -> AnyFace:
     round_about = scale[0] == scale[1] and face.rotation[2, 2] == 1.0
     if face.array is None or (plain and face.land is None and (face.untilted or round_about)):
         return ExactFace(
-            replace(face, surface=shrunk(face.surface, scale), vertex=apex), origin, made.window, scale[:2]
+            replace(face, surface=grown_surface(face.surface, scale), vertex=apex),
+            origin,
+            made.window,
+            scale[:2],
         )
     return GraphFace(face, origin, made.window, made, made.rounded, scale[:2])

@@ -60,6 +60,19 @@ def step_rms(step: float) -> float:
     return step / sqrt(12.0)
 
 
+def level_step(process: Process, sag: float) -> float:
+    """Return the height of a level (metres) of a face of height `sag`; 0 where there are none.
+
+    Examples
+    --------
+    >>> from clacad.design.process import Process
+    >>> from clacad.making.texture import level_step
+    >>> f"{level_step(Process('greyscale', levels=256), 25.5e-6) * 1e9:.0f} nm"
+    '100 nm'
+    """
+    return sag / (process.levels - 1) if process.levels > 1 else 0.0
+
+
 def texture_of(process: Process, sag: float) -> float:
     """Return the rms height (metres) of all texture a process leaves on one face.
 
@@ -76,8 +89,8 @@ def texture_of(process: Process, sag: float) -> float:
     >>> f"{texture_of(Process('greyscale', levels=256), 25.5e-6) * 1e9:.1f} nm"
     '28.9 nm'
     """
-    level = sag / (process.levels - 1) if process.levels > 1 else 0.0
-    parts = (scallop(process.feed, process.nose).rms, step_rms(process.layer), step_rms(level))
+    steps = process.layer, level_step(process, sag)
+    parts = (scallop(process.feed, process.nose).rms, *map(step_rms, steps))
     return sqrt(sum(one * one for one in parts))
 
 

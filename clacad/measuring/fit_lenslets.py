@@ -16,6 +16,7 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints
 from clacad.measuring.find_lattice import Found, NDArrayComplex, NotMeasurable, find_lattice
 from clacad.measuring.read_map import MeasuredMap
+from clacad.optics.fit import legendre
 from clacad.sheet.pattern import Pattern, Step
 
 MARGIN = 0.01
@@ -197,16 +198,6 @@ def conic(values: Floats, u: Floats, v: Floats, slopes: bool = True) -> tuple[Fl
     slope[:, 5] = y * y - x * x
     slope[:, 6] = -2.0 * x * y
     return z, slope
-
-
-def legendre(s: Floats, t: Floats, count: int) -> Floats:
-    """First `count` products (n, count) of Legendre polynomials of places scaled to [−1, 1], by their
-    degree.
-    """
-    pairs = [(i, n - i) for n in range(DEGREE + 1) for i in range(n + 1)][:count]
-    degree = sum(pairs[-1])
-    one, two = (np.polynomial.legendre.legvander(at, degree) for at in (s, t))
-    return np.stack([one[:, i] * two[:, j] for i, j in pairs], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,5 @@
-"""Least-squares search for the faces that follow a law best: residuals of fixed rays, and the minimiser.
+"""Least-squares search for the faces that follow a law best: residuals of fixed rays, and the minimiser;
+and the polynomials by which forms are fitted.
 
 The residual of a ray is the deviation of its direction from the requested one, in two directions across the
 middle of the field. The law itself is not fitted, so a search cannot drift to another η. The rays stay the
@@ -119,3 +120,16 @@ def _step(
             return here + step, trial, damping * max(1.0 / 3.0, 1.0 - (2.0 * kept / promised - 1.0) ** 3)
         damping, growth = damping * growth, 2.0 * growth
     return None
+
+
+def legendre(s: Floats, t: Floats, count: int) -> Floats:
+    """First `count` products (n, count) of Legendre polynomials of places scaled to [−1, 1], by their
+    degree.
+    """
+    pairs: list[tuple[int, int]] = []
+    degree = -1
+    while len(pairs) < count:
+        degree += 1
+        pairs += [(i, degree - i) for i in range(degree + 1)]
+    one, two = (np.polynomial.legendre.legvander(at, degree) for at in (s, t))
+    return np.stack([one[:, i] * two[:, j] for i, j in pairs[:count]], axis=1)

@@ -76,6 +76,11 @@ class Pattern:
         """Area of one cell, length²."""
         return self.pitch[0] * self.row_height
 
+    def past_borders(self, x: Floats, y: Floats) -> Floats:
+        """Distances (m, ...) of points of the cell frame past each of its m borders; below 0: inside."""
+        offsets = zip((self.offset(*step) for step in self.steps), self.half_widths)
+        return np.stack([(x * ox + y * oy) / (2.0 * half) - half for (ox, oy), half in offsets])
+
     @property
     def half_widths(self) -> tuple[float, ...]:
         """Distance of each border of a cell from its centre (lengths), in the order of `steps`."""

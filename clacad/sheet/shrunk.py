@@ -55,23 +55,36 @@ def growth(shrinkage: Sequence[float]) -> Three:
 
 
 def grown_surface(surface: Surface, size: Three) -> Surface:
-    """Points (x, y, z) of a surface moved to (size_x x, size_y y, size_z z)."""
-    kx, ky, kz = size
-    cx, cy = surface.curvature_x * kz / kx**2, surface.curvature_y * kz / ky**2
+    """Points (x, y, z) of a surface moved to (size_x x, size_y y, size_z z); exact.
+
+    R' = R size_l²/size_z, 1 + K' = (1 + K)(size_l/size_z)², and a term x^i y^j has the factor
+    size_z/(size_x^i size_y^j).
+
+    Examples
+    --------
+    >>> from clacad.optics.surface import Quadric
+    >>> from clacad.sheet.shrunk import grown_surface
+    >>> grown_surface(Quadric(0.5, 0.5, 0.5), (1.0, 1.0, 0.5)).curvature_x
+    0.25
+    """
+    sx, sy, sz = size
+    cx, cy = surface.curvature_x * (sz / sx) / sx, surface.curvature_y * (sz / sy) / sy
     if isinstance(surface, Quadric):
-        return Quadric(cx, cy, surface.kappa / kz, surface.side)
+        return Quadric(cx, cy, surface.kappa / sz, surface.side)
     conics = [
-        (1.0 + conic) * (k / kz) ** 2 - 1.0 for conic, k in ((surface.conic_x, kx), (surface.conic_y, ky))
+        one if ratio == 1.0 else (1.0 + one) * ratio * ratio - 1.0
+        for one, ratio in zip((surface.conic_x, surface.conic_y), (sx / sz, sy / sz), strict=True)
     ]
     if isinstance(surface, Biconic):
         return Biconic(cx, cy, conics[0], conics[1], surface.side)
-    a4, a6, a8 = (
-        tuple(term * kz / (kx ** (order - 2 * n) * ky ** (2 * n)) for n, term in enumerate(terms))
-        for order, terms in ((4, surface.a4), (6, surface.a6), (8, surface.a8))
-    )
-    return EvenPolynomial(
-        cx, cy, conics[0], conics[1], cast("A4", a4), surface.side, cast("A6", a6), cast("A8", a8)
-    )
+    changed: dict[str, Any] = {
+        name: tuple(
+            term * sz / (sx ** (order - 2 * k) * sy ** (2 * k))
+            for k, term in enumerate(getattr(surface, name))
+        )
+        for name, order in (("a4", 4), ("a6", 6), ("a8", 8))
+    }
+    return EvenPolynomial(cx, cy, conics[0], conics[1], side=surface.side, **changed)
 
 
 def grown_window(window: Window, size: Three, apart: float | None = None) -> Window:
@@ -231,8 +244,7 @@ def insert_window(
     """
     size = growth(shrinkage)
     whole = grown_window(window, size)
-    number = next(k for k, one in enumerate(window.faces) if one is face)
-    cut = whole.faces[number]
+    cut = whole.faces[window.number_of(face)]
     cut = replace(
         cut, vertex=(*cut.vertex[:2], 0.0), land=None if cut.land is None else cut.land - cut.vertex[2]
     )

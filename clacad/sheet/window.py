@@ -383,6 +383,10 @@ class Window(PlacedArrays):
         """All faces in the order light reaches them."""
         return tuple(face for body in self.bodies for face in (body.front, body.back))
 
+    def number_of(self, face: Face) -> int:
+        """Number of one of `faces`, which may be equal. Raises StopIteration: It is none of them."""
+        return next(k for k, one in enumerate(self.faces) if one is face)
+
     @property
     def field_array(self) -> bool:
         """Whether a field lens has cells of its own."""

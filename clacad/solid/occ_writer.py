@@ -261,12 +261,19 @@ def volume(shape: Any) -> float:
 
 def _rounding(shape: Any) -> float:
     """Volume (mm³) that rounding of heights to doubles can add to a shape: much, far from the origin."""
-    box = Bnd_Box()
-    BRepBndLib.Add_s(shape, box, False)
-    low, high = box.CornerMin(), box.CornerMax()
-    far = max(abs(low.Z()), abs(high.Z()))
-    area: float = (high.X() - low.X()) * (high.Y() - low.Y())
-    return float(np.spacing(far)) * area
+    (x0, y0, z0), (x1, y1, z1) = box(shape)
+    return float(np.spacing(max(abs(z0), abs(z1)))) * (x1 - x0) * (y1 - y0)
+
+
+def box(shape: Any) -> list[list[float]]:
+    """Lowest and highest corner of a shape."""
+    found = Bnd_Box()
+    BRepBndLib.Add_s(shape, found, False)
+    if found.IsVoid():
+        return [[np.inf] * 3, [-np.inf] * 3]
+    found.SetGap(0.0)
+    low, high = found.CornerMin(), found.CornerMax()
+    return [[low.X(), low.Y(), low.Z()], [high.X(), high.Y(), high.Z()]]
 
 
 def _adaptive(shape: Any, relative: float) -> float:

@@ -64,6 +64,11 @@ class SeenCell:
     others: Pair2 | None = None
 
     @property
+    def index(self) -> tuple[int, int]:
+        """The cell as plain numbers."""
+        return int(self.cell[0]), int(self.cell[1])
+
+    @property
     def words(self) -> str:
         """The cell and the spread over the others, in words; "" for a uniform sheet."""
         if not self.tried:
@@ -102,8 +107,9 @@ class SeenCell:
         """Move a bundle that was made for `like` in front of this cell of the sheet."""
         if self.like is self.window:
             return lit
-        cell = (int(self.cell[0]), int(self.cell[1]))
-        return replace(lit, cell=cell, rays=Rays(self.moved(lit), lit.rays.direction, lit.rays.wavelength))
+        return replace(
+            lit, cell=self.index, rays=Rays(self.moved(lit), lit.rays.direction, lit.rays.wavelength)
+        )
 
     def moved(self, lit: Bundle) -> Floats:
         """Starts (n, 3) of a bundle that was made for `like`, moved in front of this cell of the sheet."""

@@ -17,11 +17,12 @@ from clacad.design.process import Process, process_of
 from clacad.design.process_profiles import profiles
 from clacad.explain.look_up import explain
 from clacad.making.light_as_made import judge_as_made, light_as_made
-from clacad.making.made_surface import MadeSurface, made_surface, read_curve, shrunk
+from clacad.making.made_surface import MadeSurface, made_surface, read_curve
 from clacad.making.texture import scallop, step_rms, texture_of
 from clacad.measuring.light_through_form import texture_share
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric
 from clacad.sheet.bundle import bundle
+from clacad.sheet.shrunk import grown_surface
 from clacad.storage.errors import NotPossible
 from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.accuracy.measure_rungs import made_cost
@@ -120,7 +121,7 @@ def test_a_shrunk_conic_is_the_conic_of_the_closed_form(row):
         Biconic(curvature, curvature, 0.0, 0.0),
         EvenPolynomial(curvature, curvature, 0.0, 0.0, (0.0, 0.0, 0.0)),
     ):
-        made = shrunk(surface, scale)
+        made = grown_surface(surface, scale)
         conic = made.kappa / made.curvature_x if isinstance(made, Quadric) else 1.0 + made.conic_x
         assert 1.0 / made.curvature_x == pytest.approx(float(row["apex_radius"]), rel=1e-14)
         assert conic == pytest.approx(float(row["one_plus_conic"]), rel=1e-14)
@@ -136,7 +137,7 @@ def test_points_of_any_shrunk_surface_are_scaled_points():
             0.4, 0.3, -1.0, 0.5, (0.1, 0.2, 0.3), 1, (1.0, 2.0, 3.0, 4.0), (5.0, 6.0, 7.0, 8.0, 9.0)
         ),
     ):
-        made = shrunk(surface, scale).sag(scale[0] * x, scale[1] * y)
+        made = grown_surface(surface, scale).sag(scale[0] * x, scale[1] * y)
         np.testing.assert_allclose(made, scale[2] * surface.sag(x, y), rtol=1e-12, atol=1e-15)
 
 
@@ -298,11 +299,11 @@ def test_a_tool_must_fit_into_a_concave_face(sheets):
 def test_a_shrinkage_of_a_trillionth_keeps_all_digits():
     s = 1e-12
     curvature = 0.405162850129968
-    made = shrunk(Quadric(curvature, curvature, curvature), (1.0 - s, 1.0 - s, 1.0))
+    made = grown_surface(Quadric(curvature, curvature, curvature), (1.0 - s, 1.0 - s, 1.0))
     exact = MP.mpf(curvature) / MP.mpf(1.0 - s) ** 2
     assert abs(made.curvature_x - exact) <= 3e-16 * curvature
     assert made.curvature_x != curvature
-    tall = shrunk(Biconic(curvature, curvature, 0.25, 0.25), (1.0, 1.0, 1.0 - s))
+    tall = grown_surface(Biconic(curvature, curvature, 0.25, 0.25), (1.0, 1.0, 1.0 - s))
     assert abs(tall.conic_x - ((MP.mpf(1.25)) / MP.mpf(1.0 - s) ** 2 - 1)) <= 4e-16
 
 

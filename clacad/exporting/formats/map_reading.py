@@ -260,9 +260,8 @@ def _pixels(kind: str) -> SampleReader:
         hole = got == (NO_DATA if kind == TIFF32 else 0)
         height = got / of.scale if kind == TIFF32 else map_.low + (got - 1.0) * map_.step
         z = np.where(hole, np.nan, map_.reference - of.face.side * height)
-        x = map_.origin[0] + map_.pixel * (columns + 0.5) - centre[0]
-        y = map_.origin[1] + map_.pixel * (map_.height - 0.5 - rows) - centre[1]
-        gx, gy = np.meshgrid(x, y)
+        x, y = map_.places(columns, rows)
+        gx, gy = np.meshgrid(x - centre[0], y - centre[1])
         mine = in_optical_tile(
             of.window, gx, gy, of.face.array or 0
         )  # the substitute cell may be larger, or may not be tilted

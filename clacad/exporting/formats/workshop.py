@@ -118,8 +118,8 @@ def surface_misfit(of: FaceFile, points: Floats) -> Floats:
     off = points[:, 2] - face_height(of.window, of.face, u, v, index)
     held, lattice = of.window.lattice.contains(index), of.window.lattice_of(of.face.array or 0)
     if not (of.face.untilted and of.window.uniform):
-        for (ox, oy), half in zip((lattice.offset(*s) for s in lattice.steps), lattice.half_widths):
-            held &= np.abs((u * ox + v * oy) / (2.0 * half) - half) > BORDER * half
+        half = np.array(lattice.half_widths)[:, None]
+        held &= (np.abs(lattice.past_borders(u, v)) > BORDER * half).all(axis=0)
     return np.where(held, off, np.nan)
 
 
@@ -223,8 +223,7 @@ def _insert_heights(of: FaceFile) -> Floats:
             f" {map_.width} × {map_.height}"
         )
     rows, columns = np.nonzero(np.asarray(pixels) != NO_DATA)
-    x = map_.origin[0] + map_.pixel * (columns + 0.5)
-    y = map_.origin[1] + map_.pixel * (map_.height - 0.5 - rows)
+    x, y = map_.places(columns, rows)
     return np.stack(
         [x, y, np.asarray(pixels, dtype=np.float64)[rows, columns] / of.scale + map_.reference], axis=1
     )
@@ -384,9 +383,7 @@ def _dose_surface(of: FaceFile) -> Floats:
 
     map_ = of.map()
     height = map_.high - dose_of(map_, of.path).depths(of.path) / of.window.unit
-    x = map_.origin[0] + map_.pixel * (np.arange(map_.width) + 0.5)
-    y = map_.origin[1] + map_.pixel * (map_.height - 0.5 - np.arange(map_.height))
-    gx, gy = np.meshgrid(x, y)
+    gx, gy = np.meshgrid(*map_.places(np.arange(map_.width), np.arange(map_.height)))
     return np.stack([gx.ravel(), gy.ravel(), (map_.reference - of.face.side * height).ravel()], axis=1)
 
 

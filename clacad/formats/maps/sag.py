@@ -59,6 +59,11 @@ class HeightMap:
         """Height of one grey level of a 16-bit map, design units; level 1 is `low`, 65535 is `high`."""
         return (self.high - self.low) / 65534.0 or 1.0
 
+    def places(self, columns: NDArray[np.int64], rows: NDArray[np.int64]) -> tuple[Floats, Floats]:
+        """Middles of pixels, lengths: x of columns, y of rows, which are counted from the top."""
+        x = self.origin[0] + self.pixel * (columns + 0.5)
+        return np.asarray(x), np.asarray(self.origin[1] + self.pixel * (self.height - 0.5 - rows))
+
     def calibration(self, scale: float) -> dict[str, object]:
         """Data that a machine needs to use the map, in millimetres (`scale`: millimetres per design unit)."""
         return {
@@ -303,9 +308,7 @@ def _cell_points(
     u = x0 + (x1 - x0) * (np.arange(per_cell) + 0.5) / per_cell
     v = y0 + (y1 - y0) * (np.arange(per_cell) + 0.5) / per_cell
     gx, gy = (g.ravel() for g in np.meshgrid(u, v))
-    inside = np.ones(gx.shape, dtype=bool)
-    for (ox, oy), half in zip((lattice.offset(*s) for s in lattice.steps), lattice.half_widths):
-        inside &= (gx * ox + gy * oy) / (2.0 * half) < half
+    inside = (lattice.past_borders(gx, gy) < 0.0).all(axis=0)
     gx, gy = gx[inside], gy[inside]
     z = face_height(window, face, gx, gy)
     lens, normal = lens_height_and_normal(face, gx, gy)

@@ -71,10 +71,7 @@ class ToolFace:
 
     def in_cell(self, x: Floats, y: Floats) -> Bools:
         """Whether points (n,) lie in the cell about whose centre they are counted."""
-        lattice, inside = self.window.lattice_of(self.array), np.ones(np.shape(x), dtype=bool)
-        for (ox, oy), half in zip((lattice.offset(*s) for s in lattice.steps), lattice.half_widths):
-            inside &= (x * ox + y * oy) / (2.0 * half) <= half
-        return inside
+        return np.asarray((self.window.lattice_of(self.array).past_borders(x, y) <= 0.0).all(axis=0))
 
     def contact(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Points (n,) of the lens that the nose touches with its centre over x, y : Newton's method."""
@@ -295,7 +292,5 @@ def tool_misfit(tool: ToolFace, path: Path, scale: float) -> tuple[float, int]:
 def _off_the_border(tool: ToolFace, x: Floats, y: Floats, edge: float) -> Bools:
     """Points (n,) farther from the borders of cells than rounding moves them."""
     _, u, v = tool.window.locate(tool.array, x, y)
-    lattice, sure = tool.window.lattice_of(tool.array), np.ones(len(u), dtype=bool)
-    for (ox, oy), half in zip((lattice.offset(*s) for s in lattice.steps), lattice.half_widths):
-        sure &= np.abs((u * ox + v * oy) / (2.0 * half) - half) > edge
-    return sure
+    past = tool.window.lattice_of(tool.array).past_borders(u, v)
+    return np.asarray((np.abs(past) > edge).all(axis=0))

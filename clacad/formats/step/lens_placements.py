@@ -24,7 +24,7 @@ import numpy as np
 from clacad.base.types import Bools, Floats, Ints
 from clacad.base.units import millimetres
 from clacad.formats.placements import Placements, applied, turns
-from clacad.formats.step.shape_parts import ShapePart, box, boxes_of, moved
+from clacad.formats.step.shape_parts import ShapePart, boxes_of, moved
 from clacad.sheet.window import WALL, Window, lens_height_and_normal
 
 
@@ -191,6 +191,8 @@ class SheetPlace:
 
     def _of_piece(self, piece: ShapePart) -> Placements:
         """Placements of a piece that belong to the sheet, in its frame."""
+        from clacad.solid.occ_writer import box
+
         placements = piece.placements
         if _rows_level(placements):
             return self._of_rows(placements, float(np.array(box(piece.shape))[:, 2].mean()))
@@ -284,7 +286,7 @@ def layer_volumes(several: list[ShapePart], window: Window) -> dict[str, float]:
     neighbours.
     """
     from clacad.sheet.feasibility.lenses import whole_body_range
-    from clacad.solid.occ_writer import volume
+    from clacad.solid.occ_writer import box, volume
 
     ranges = [whole_body_range(window, body) for body in window.bodies]
     levels = [0.5 * (below[1] + above[0]) * millimetres(window.unit) for below, above in pairwise(ranges)]

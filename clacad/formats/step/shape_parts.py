@@ -119,22 +119,10 @@ def moved(shape: Any, placement: Floats) -> Any:
     return shape.Moved(TopLoc_Location(move))
 
 
-def box(shape: Any) -> list[list[float]]:
-    """Lowest and highest corner of a shape."""
-    from OCP.Bnd import Bnd_Box
-    from OCP.BRepBndLib import BRepBndLib
-
-    found = Bnd_Box()
-    BRepBndLib.Add_s(shape, found, False)
-    if found.IsVoid():
-        return [[np.inf] * 3, [-np.inf] * 3]
-    found.SetGap(0.0)
-    low, high = found.CornerMin(), found.CornerMax()
-    return [[low.X(), low.Y(), low.Z()], [high.X(), high.Y(), high.Z()]]
-
-
 def whole_box(several: list[ShapePart]) -> list[list[float]]:
     """Lowest and highest corner of all pieces in all their placements."""
+    from clacad.solid.occ_writer import box
+
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for piece in several:
         for turn, least, most in piece.placements.ends():
@@ -146,6 +134,8 @@ def whole_box(several: list[ShapePart]) -> list[list[float]]:
 
 def boxes_of(faces: list[Any]) -> Floats:
     """Boxes (n, 2, 3) of faces."""
+    from clacad.solid.occ_writer import box
+
     return np.array([box(face) for face in faces]).reshape(-1, 2, 3)
 
 
