@@ -440,13 +440,14 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
     form, eta, euler = a(PAIR.form), a(LAW.eta), a(LAW.euler)
     if not a(PAIR.field_lens) or form is None or eta is None or euler is None:
         return
-    if euler[1] != 0.0 and form != "biconvex":
+    sharp = a(PAIR.focus) is not None
+    if euler[1] != 0.0 and (form != "biconvex" or sharp):
         yield Mistake(
             "CL127",
-            f"theta = {euler[1]:g} deg: a field lens of a tilted {form} pair is not made",
+            f"theta = {euler[1]:g} deg: a field lens of a tilted {'sharp' if sharp else form} pair is not made",
             f"{LAW.euler}.1",
             allowed="theta = 0",
-            hint='pair.form = "biconvex", or theta = 0',
+            hint="theta = 0" if sharp else 'pair.form = "biconvex", or theta = 0',
         )
     if eta[0] != eta[1]:
         yield from _cylinders_are_made(a, form, euler)

@@ -13,7 +13,13 @@ from clacad.prescription.assemble import assemble_window
 from clacad.prescription.best_recipe import best_scale
 from clacad.prescription.bodies import LensPose, Listed, bodies_of, displacement, given_pair, lens_face
 from clacad.prescription.cell_heights import auto_thickness
-from clacad.prescription.field_lens import Chief, one_plate, plate_faces, starts_aligned, symmetric_foci
+from clacad.prescription.field_lens import (
+    Chief,
+    one_plate,
+    plate_faces,
+    starts_aligned,
+    symmetric_foci,
+)
 from clacad.prescription.intent import Intent, separation_of, untraced
 from clacad.prescription.radii import LensPair, NoSuchLens, biconvex_exact, biconvex_thin, thin_focal_lengths
 from clacad.sheet.window import Window
@@ -75,13 +81,18 @@ def _with_thickness(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     offset = intent.built_offset(lenses)
     plate, ideal = None, lenses
     if pair.field_lens:
-        # the plate's position follows from eta alone, so that given and derived faces have the same position
-        if pair.given:
-            ideal = biconvex_exact(intent.eta, separation, thickness, intent.index)
+        ideal = _around_field(intent, lenses, separation, thickness)
         rooms = [symmetric_foci(ideal.radius[k], thickness[k], intent.index) for k in (0, 1)]
         plate = one_plate(intent, ideal.focal_length, rooms[0], min(rooms[1]) - 0.5 * thickness[1])
     lens_2, added = intent.turn @ np.array([*offset, separation]), np.zeros(3)
     moved = displacement(intent.design.lattice.aperture, lens_2[:2], float(lens_2[2]))
+    if plate is not None and pair.focus is not None:  # nothing is tilted
+        from clacad.prescription.sharp_pairs import refocused
+
+        offset = refocused(
+            offset, intent.turn[:2, :2].T @ moved, lenses.focal_length[1], ideal.focal_length[1]
+        )
+        lens_2 = intent.turn @ np.array([*offset, separation])
     if plate is not None:
         added = plate.added(intent.index) * intent.turn[:, 2]
         lens_2 = lens_2 + added
@@ -118,12 +129,33 @@ def _lenses(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
     if pair.given:
         return given_pair(pair, thickness, index)
     if pair.focus is not None:
-        from clacad.prescription.sharp_pairs import sharp_thick_lenses, sharp_thin_lenses
+        from clacad.prescription.sharp_pairs import planes_of, sharp_thick_lenses, sharp_thin_lenses
 
         sharp = sharp_thick_lenses if pair.confocal == "exact" else sharp_thin_lenses
-        return sharp(intent.eta, separation, pair.focus, thickness, index)
-    recipe = biconvex_exact if pair.confocal == "exact" else biconvex_thin
-    return recipe(intent.eta, separation, thickness, index)
+        return sharp(intent.eta, separation, planes_of(intent.design, thickness, index), thickness, index)
+    return _afocal(intent, separation, thickness)
+
+
+def _afocal(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
+    """Lenses confocal by the requested recipe; of given faces by the exact one."""
+    pair = intent.design.pair
+    recipe = biconvex_exact if pair.given or pair.confocal == "exact" else biconvex_thin
+    return recipe(intent.eta, separation, thickness, intent.index)
+
+
+def _around_field(intent: Intent, lenses: LensPair, separation: float, thickness: Pair2) -> LensPair:
+    """Lenses whose common focus is the place of the field lens: `lenses` themselves where they are afocal.
+
+    It follows from eta alone for given faces, so that given and derived faces have the same position.
+    """
+    pair = intent.design.pair
+    if not pair.given and pair.focus is None:
+        return lenses
+    if pair.focus is None or pair.confocal != "exact":
+        return _afocal(intent, separation, thickness)
+    from clacad.prescription.sharp_pairs import images_between
+
+    return images_between(intent.design, separation, thickness, intent.index)
 
 
 def _web(intent: Intent, lenses: LensPair, number: int, centre: float) -> Pair2 | tuple[None, None]:

@@ -166,7 +166,7 @@ def _placed(window: Window, design: Design, field: FieldCells | None) -> Window:
     follows its cell where array 2 has a pitch of its own.
     """
     if design.pair.focus is not None:
-        return with_focus(window, design)
+        return with_focus(window, design, None if field is None else field.spread_focal)
     if design.lattice.pitch_2 is not None or design.lattice.rotation_2:
         return with_pitch_2(window, design, None if field is None else field.spread_focal)
     if isinstance(design.lattice.aperture, AimedAt):

@@ -28,6 +28,7 @@ from clacad.base.types import Floats, Pair2
 from clacad.base.vectors import xy
 from clacad.design.process_profiles import profile
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
+from clacad.design.varying import Planes
 from clacad.optics.surface import Quadric
 from clacad.prescription.bodies import FieldCells, Listed, bodies_of, shared
 from clacad.prescription.intent import Intent
@@ -124,6 +125,12 @@ class Plates:
         """Distance from lens 1 to lens 2 in air equivalents."""
         return self.field[0] + self.gap + self.field[1]
 
+    def focused(self, planes: Planes) -> Plates:
+        """Plates that image one plane to another (lengths, in air): the field lens keeps its image plane."""
+        first, last = self.focal_length
+        focal = first / (1.0 - first / planes.object), last / (1.0 + last / planes.image)
+        return replace(self, focal_length=focal)
+
     def offset(self, delta: Floats, eta: float, slope: Floats) -> Floats:
         """Vertex of lens 2 (2,), lengths off lens 1's axis, for δ (2,) and field centre `slope` (2,)."""
         last = self.focal_length[1]
@@ -167,6 +174,8 @@ def two_plates(intent: Intent, separation: float, scale: float) -> FieldBodies:
     """Two plates with the field lens on both inner faces, lens radii times `scale`; separation: length."""
     eta, n = intent.eta[0], intent.index
     plates = paired_plates(eta, separation, air_gap(intent))
+    if (planes := intent.design.pair.focus) is not None:
+        plates = plates.focused(planes)
     radius = [(n - 1.0) * a for a in plates.focal_length]
     inner = [(n - 1.0) * f for f in plates.field]
     for r in inner:

@@ -28,7 +28,14 @@ from clacad.prescription.bodies import (
     shallower,
 )
 from clacad.prescription.cell_heights import face_range
-from clacad.prescription.field_lens import Chief, air_gap, one_plate, plate_faces, starts_aligned, two_plates
+from clacad.prescription.field_lens import (
+    Chief,
+    air_gap,
+    one_plate,
+    plate_faces,
+    starts_aligned,
+    two_plates,
+)
 from clacad.prescription.intent import Intent, separation_of, untraced
 from clacad.prescription.radii import LensPair, NoSuchLens, single_surface, thin_pair
 from clacad.sheet.window import Face, Window
@@ -74,11 +81,9 @@ def one_faced(intent: Intent, separation: float, thickness: Pair2) -> LensPair:
     if pair.given:
         return given_pair(pair, thickness, intent.index)
     if pair.focus is not None:
-        from clacad.prescription.sharp_pairs import behind_plates, seen_through, sharp_lenses
+        from clacad.prescription.sharp_pairs import planes_of, sharp_lenses
 
-        seen = (
-            seen_through(pair.focus, thickness, intent.index) if behind_plates(intent.design) else pair.focus
-        )
+        seen = planes_of(intent.design, thickness, intent.index)
         return sharp_lenses(intent.eta, separation, seen, thickness, intent.index)
     return single_surface(intent.eta, separation, thickness, intent.index)
 
@@ -180,6 +185,10 @@ def plano_with_field(intent: Intent, lenses: LensPair) -> Window:
     turn = intent.turn[:2, :2]
     aligned = starts_aligned(intent.design.lattice.aperture)
     chief = Chief.of(intent, 0.0 * offset if aligned else offset, separation)
+    if intent.design.pair.focus is not None:
+        from clacad.prescription.sharp_pairs import refocused
+
+        offset = refocused(offset, chief.slope * separation, lenses.focal_length[1], second)
     moved_x, moved_y = turn @ chief.across(legs)
     moved = float(moved_x), float(moved_y)
     height = sum(length for length, _ in legs)

@@ -14,19 +14,23 @@ Planes lie across the axis of the lenses. Of tilted lenses they are inclined to 
 own distances, its law has the δ that sends the chief ray of the axis's point to its image, and its lens 1 has
 the size for these distances. Array 2 keeps the pitch of the middle cell, lenses 2 follow their laws.
 
+A field lens keeps the image between the lenses at itself: 1/f1 = (1 − η)/s − 1/z and 1/f2 of the afocal pair
++ 1/ζ. Lens 2 then bends chief rays as well where its cell is not centred on it; its vertex allows for that.
+
 Near f1 = −z the image by lens 1 goes to infinity and the pair is no telescopelet: it is refused, with planes
 that work.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
+from clacad.base.vectors import xy
 from clacad.design.sections import PAIR
 from clacad.design.varying import Planes
 from clacad.optics.law.focusing import SharpPair
@@ -56,7 +60,24 @@ LADDER = 1.25
 """Factor by which planes are moved away until they work."""
 
 
-def sharp_pairs(eta: Pair2, separation: float, planes: Planes) -> tuple[SharpPair, SharpPair]:
+@dataclass(frozen=True, slots=True)
+class SharpPlanes(Planes):
+    """Planes as the lenses see them; `field`: whether a field lens images lens 1 onto lens 2."""
+
+    field: bool = False
+
+
+def planes_of(design: Design, thickness: Pair2, index: float) -> SharpPlanes:
+    """Planes (lengths) that the lenses of a design see, through the plates before and behind them if any."""
+    planes, lensed = design.pair.focus, bool(design.pair.field_lens)
+    assert planes is not None  # callers check it
+    outside = design.pair.form == "plano" and design.pair.curved == "inside"
+    before, behind = (t * (1.0 - 1.0 / index) if outside else 0.0 for t in thickness)
+    # equivalent air distances, paraxial
+    return SharpPlanes(planes.object + before, planes.image - behind, lensed)
+
+
+def sharp_pairs(eta: Pair2, separation: float, planes: SharpPlanes) -> tuple[SharpPair, SharpPair]:
     """Lenses of both meridians.
 
     Raises NoSuchLens: The pair would be no telescopelet; the message has planes that work.
@@ -74,28 +95,33 @@ def sharp_pairs(eta: Pair2, separation: float, planes: Planes) -> tuple[SharpPai
     return found
 
 
-def _pairs(eta: Pair2, separation: float, planes: Planes) -> tuple[SharpPair, SharpPair]:
-    x, y = (SharpPair.of(value, separation, planes.object, planes.image) for value in eta)
+def _pairs(eta: Pair2, separation: float, planes: SharpPlanes) -> tuple[SharpPair, SharpPair]:
+    x, y = (SharpPair.of(value, separation, planes.object, planes.image, planes.field) for value in eta)
     return x, y
 
 
 def _no_telescopelet(eta: float, separation: float, pair: SharpPair) -> str:
     """Reason why a meridian is no telescopelet, "" if it is one."""
-    f1, afocal = pair.focal_lengths[0], thin_focal_lengths(eta, separation)[0]
-    if not 1.0 / UNLIKE <= f1 / afocal <= UNLIKE:
-        return f"lens 1 would need the focal length {f1:.4g}, where the afocal pair has {afocal:.4g},"
+    afocal_pair = thin_focal_lengths(eta, separation)
+    for number, (f, afocal) in enumerate(zip(pair.focal_lengths, afocal_pair, strict=True), start=1):
+        if not 1.0 / UNLIKE <= f / afocal <= UNLIKE:
+            return (
+                f"lens {number} would need the focal length {f:.4g}, where the afocal pair has {afocal:.4g},"
+            )
     ratio = pair.pitch_ratio
     if not 1.0 / UNLIKE <= ratio <= UNLIKE:
         return f"array 2 would need {ratio:.4g} times the pitch of array 1"
     return ""
 
 
-def _farther(eta: Pair2, separation: float, planes: Planes) -> str:
+def _farther(eta: Pair2, separation: float, planes: SharpPlanes) -> str:
     """Describe planes that work: the requested two, multiplied by a common factor."""
     factor = 1.0
     while factor < 1e9:
         factor *= LADDER
-        trial = Planes(_shortened(planes.object * factor), _shortened(planes.image * factor))
+        trial = SharpPlanes(
+            _shortened(planes.object * factor), _shortened(planes.image * factor), planes.field
+        )
         pairs = _pairs(eta, separation, trial)
         if not any(_no_telescopelet(value, separation, pair) for value, pair in zip(eta, pairs, strict=True)):
             return f"object = {trial.object:g}, image = {trial.image:g}"
@@ -106,13 +132,9 @@ def _shortened(length: float) -> float:
     return float(f"{length:.3g}") if isfinite(length) else length
 
 
-def seen_through(planes: Planes, thickness: Pair2, index: float) -> Planes:
-    """Planes (lengths) as seen by lenses behind such plates: equivalent air distances, paraxial."""
-    before, behind = (t * (1.0 - 1.0 / index) for t in thickness)
-    return Planes(planes.object + before, planes.image - behind)
-
-
-def sharp_lenses(eta: Pair2, separation: float, planes: Planes, thickness: Pair2, index: float) -> LensPair:
+def sharp_lenses(
+    eta: Pair2, separation: float, planes: SharpPlanes, thickness: Pair2, index: float
+) -> LensPair:
     """Lenses with one curved face each, R = (n − 1) f, exact in paraxial light for any thickness."""
     focal = _lens_by_lens(sharp_pairs(eta, separation, planes))
     (a, b), (c, d) = focal
@@ -121,14 +143,14 @@ def sharp_lenses(eta: Pair2, separation: float, planes: Planes, thickness: Pair2
 
 
 def sharp_thin_lenses(
-    eta: Pair2, separation: float, planes: Planes, thickness: Pair2, index: float
+    eta: Pair2, separation: float, planes: SharpPlanes, thickness: Pair2, index: float
 ) -> LensPair:
     """Biconvex lenses by the thin recipe, R = 2 (n − 1) f with the focal lengths of thin lenses."""
     return sharp_lenses(eta, separation, planes, thickness, 2.0 * index - 1.0)
 
 
 def sharp_thick_lenses(
-    eta: Pair2, separation: float, planes: Planes, thickness: Pair2, index: float
+    eta: Pair2, separation: float, planes: SharpPlanes, thickness: Pair2, index: float
 ) -> LensPair:
     """Symmetric biconvex lenses, centres `separation` apart, exact in paraxial light for any thickness.
 
@@ -147,7 +169,7 @@ def sharp_thick_lenses(
 
 
 def thick_pairs(
-    eta: Pair2, separation: float, planes: Planes, thickness: Pair2, index: float
+    eta: Pair2, separation: float, planes: SharpPlanes, thickness: Pair2, index: float
 ) -> tuple[SharpPair, SharpPair]:
     """Thin equivalents of symmetric thick lenses, between principal planes, solved by iteration."""
     x, y = (_thick_meridian(value, separation, planes, thickness, index) for value in eta)
@@ -155,15 +177,19 @@ def thick_pairs(
 
 
 def _thick_meridian(
-    eta: float, separation: float, planes: Planes, thickness: Pair2, index: float
+    eta: float, separation: float, planes: SharpPlanes, thickness: Pair2, index: float
 ) -> SharpPair:
-    lost, pair = (0.0, 0.0), SharpPair.of(eta, separation, planes.object, planes.image)
+    lost, pair = (0.0, 0.0), SharpPair.of(eta, separation, planes.object, planes.image, planes.field)
     for _ in range(ROUNDS):
         before = lost
         (f1, f2), (t1, t2) = pair.focal_lengths, thickness
         lost = (0.5 * hiatus(f1, t1, index), 0.5 * hiatus(f2, t2, index))
         pair = SharpPair.of(
-            eta, separation - lost[0] - lost[1], planes.object + lost[0], planes.image - lost[1]
+            eta,
+            separation - lost[0] - lost[1],
+            planes.object + lost[0],
+            planes.image - lost[1],
+            planes.field,
         )
         if lost == before or not all(map(isfinite, lost)):
             break
@@ -177,11 +203,10 @@ def hiatus(focal_length: float, thickness: float, index: float) -> float:
 
 def chief_focal_lengths(design: Design, thickness: Pair2, index: float, separation: float) -> Pair2:
     """Focal lengths (f1x, f1y) of the afocal pair: they relate chief rays' δ to lens 2's offset."""
-    eta, planes = design.law_spec.eta, design.pair.focus
-    assert planes is not None  # callers check it
+    eta = design.law_spec.eta
     if not _thick(design):
         return thin_pair(eta, separation)[0]
-    pairs = thick_pairs(eta, separation, planes, thickness, index)
+    pairs = thick_pairs(eta, separation, planes_of(design, thickness, index), thickness, index)
     x, y = (thin_focal_lengths(value, one.separation)[0] for value, one in zip(eta, pairs, strict=True))
     return x, y
 
@@ -191,14 +216,52 @@ def _lens_by_lens(pairs: tuple[SharpPair, SharpPair]) -> tuple[Pair2, Pair2]:
     return (f1x, f1y), (f2x, f2y)
 
 
-def with_focus(window: Window, design: Design) -> Window:
-    """Uniform window with array 2 spread so that the images of all pairs coincide."""
-    planes = design.pair.focus
-    assert planes is not None  # callers check it
+def images_between(design: Design, separation: float, thickness: Pair2, index: float) -> LensPair:
+    """Symmetric lenses whose foci lie where sharp thick lenses have the image between them, at the field lens.
+
+    Their focal lengths are the distances to it from the principal planes of the sharp lenses; the radii are
+    those of lenses with these focal lengths.
+    """
+    (f1x, f2x), (f1y, f2y) = (
+        thin_focal_lengths(value, one.separation)
+        for value, one in zip(
+            design.law_spec.eta,
+            thick_pairs(
+                design.law_spec.eta, separation, planes_of(design, thickness, index), thickness, index
+            ),
+            strict=True,
+        )
+    )
+    first, second = (
+        (symmetric_radius(fx, t, index), symmetric_radius(fy, t, index))
+        for (fx, fy), t in zip(((f1x, f1y), (f2x, f2y)), thickness, strict=True)
+    )
+    return LensPair(((f1x, f1y), (f2x, f2y)), (first, second), thickness)
+
+
+def refocused(offset: Floats, cell: Floats, focal: Pair2, afocal: Pair2) -> Floats:
+    """Offset (2,), lengths, of a lens 2 of focal lengths `focal` in place of `afocal`, chief rays unchanged.
+
+    They reach it in the centre of its cell, at `cell` (2,) from the axis of lens 1, and its vertex bends them.
+    """
+    return np.asarray(cell + (offset - cell) * np.divide(focal, afocal))
+
+
+def with_focus(window: Window, design: Design, focal: Pair2 | None) -> Window:
+    """Uniform window with array 2 spread so that the images of all pairs coincide; `focal` as of
+    `with_pitch_2`, None: that of the afocal pair.
+    """
+    planes = planes_of(design, (0.0, 0.0), 1.0)
     separation, (t1, t2), index = window.thin.separation, window.recipe["T"], window.recipe["n"]
     thin, pairs = sharp_pairs(design.law_spec.eta, separation, planes), _pairs_as_built(window, design)
     pitch, thin_pitch = _spread(window, pairs), _spread(window, thin)
-    made = spread_to(window, pitch, chief_focal_lengths(design, (t1, t2), index, separation))
+    focal = chief_focal_lengths(design, (t1, t2), index, separation) if focal is None else focal
+    made = spread_to(window, pitch, focal)
+    if planes.field:  # nothing is tilted
+        turn, (x, y, z) = made.thin.rotation[:2, :2], made.thin.offset
+        afocal, bent = thin_pair(design.law_spec.eta, separation)[1], _lens_by_lens(thin)[1]
+        moved = turn @ refocused(turn.T @ [x, y], turn.T @ made.thin.shift, bent, afocal)
+        made = replace(made, thin=replace(made.thin, offset=(*xy(moved), z)))
     told = {
         "object": planes.object,
         "image": planes.image,
@@ -224,14 +287,16 @@ def with_focus(window: Window, design: Design) -> Window:
 
 def _pairs_as_built(window: Window, design: Design) -> tuple[SharpPair, SharpPair]:
     """Thin equivalents of the pairs of a uniform window, at their reduced distances."""
-    planes, eta, separation = design.pair.focus, design.law_spec.eta, window.thin.separation
-    assert planes is not None  # callers check it
-    (t1, t2), index = window.recipe["T"], window.recipe["n"]
+    eta, separation, (t1, t2), index = (
+        design.law_spec.eta,
+        window.thin.separation,
+        *(window.recipe[name] for name in "Tn"),
+    )
+    planes = planes_of(design, (t1, t2), index)
     if _thick(design):
         return thick_pairs(eta, separation, planes, (t1, t2), index)
-    return sharp_pairs(
-        eta, separation, seen_through(planes, (t1, t2), index) if behind_plates(design) else planes
-    )
+    gap = window.recipe.get("field", {}).get("gap", 0.0)  # of air between two plates with a field lens
+    return sharp_pairs(eta, separation + gap, planes)
 
 
 def inclined_sizes(window: Window, design: Design, cells: Ints) -> tuple[Floats, Floats]:
@@ -264,11 +329,6 @@ def _focal_lengths(pair: SharpPair, apart: Floats) -> Floats:
 def _thick(design: Design) -> bool:
     """Whether the principal planes of a biconvex pair count; the thin recipe leaves them out."""
     return design.pair.form == "biconvex" and design.pair.confocal == "exact"
-
-
-def behind_plates(design: Design) -> bool:
-    """Whether the plane faces of a plano pair lie between its lenses and the planes."""
-    return design.pair.form == "plano" and design.pair.curved == "inside"
 
 
 def _spread(window: Window, pairs: tuple[SharpPair, SharpPair]) -> Pair2:

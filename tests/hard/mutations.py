@@ -124,6 +124,8 @@ MUTATIONS = [
     Mutation("sizes: a thickness for the law's lens alone", "clacad/prescription/cell_heights.py", "for one in _bodies_that_differ(window, body):\n        spare", "for one in [body]:\n        spare", f"{OWN_ETA} -k least_radius"),
     Mutation("sizes: given lenses by those of thin ones", SIZES, "base = biconvex_exact((eta, eta), recipe", "base = biconvex_exact((2 * eta, 2 * eta), recipe", OWN_ETA),
     Mutation("sharp: thin lenses by principal planes", "clacad/prescription/sharp_pairs.py", 'and design.pair.confocal == "exact"', "and True", f"{SHARP} -k thin_recipe"),
+    Mutation("sharp: lenses around a field lens as without one", "clacad/prescription/sharp_pairs.py", "lensed = design.pair.focus, bool(design.pair.field_lens)", "lensed = design.pair.focus, False", f"{SHARP} -k every_pair_with_a_field_lens"),
+    Mutation("sharp: lens 2 behind a field lens where the afocal one lies", "clacad/prescription/sharp_pairs.py", "(offset - cell) * np.divide(focal, afocal)", "(offset - cell)", f"{SHARP} -k every_pair_with_a_field_lens"),
     Mutation("sharp: the best radii for parallel light", "clacad/prescription/best_recipe.py", "RequestedLaw.of(window).expected(lit)", "window.law.refract(lit.rays.direction)", f"{SHARP} -k best"),
     Mutation("sharp: tilted pairs of one size", "clacad/prescription/sharp_pairs.py", "apart = np.asarray(centres @ window.law.rotation[:2, 2])", "apart = np.zeros(len(centres))", f"{SHARP} -k lens_equation"),
     Mutation("sharp: cells 2 of tilted pairs where uniform ones lie", SIZES, "table = table - _followed(placed.placements[1], placed, targets.cells)", "table = table + 0.0", f"{SHARP} -k own_distance"),

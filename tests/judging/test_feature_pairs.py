@@ -107,6 +107,7 @@ def oracle_faces(window, cell):
 
 FIELD_SHEETS = {
     "aimed": SHEET["lattice.aperture"], "another pitch": SHEET["lattice.pitch_2"], "turned": SHEET["lattice.rotation_2"],
+    "sharp": SHEET["pair.focus"],
     "aimed from the side": {"law__varying": None, "lattice__aperture": {"point": [12, 4, -300]}, "law__delta": [0.01, 0.0]},
     "two pitches, turned": {**SHEET["lattice.rotation_2"], "lattice__kind": "rectangular", "lattice__pitch": [0.5, 0.5], "lattice__pitch_2": [0.4975, 0.499]},
 }  # fmt: skip
@@ -145,7 +146,10 @@ def test_field_faces_lie_where_the_light_of_each_cell_passes_on_its_way_to_its_p
             assert np.abs(far - window.centres(1, cell)).max() < 2e-3 * min(window.lattice.pitch)
 
 
-@pytest.mark.parametrize(("sheet", "feature"), PAIRS[::6])
+TRACED = sorted({*PAIRS[::6], ("pair.focus", "field lens")})
+
+
+@pytest.mark.parametrize(("sheet", "feature"), TRACED)
 def test_rays_of_a_combination_are_those_of_the_textbook_through_the_faces_of_their_cells(
     sheet, feature, tmp_path
 ):

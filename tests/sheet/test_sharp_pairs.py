@@ -75,6 +75,50 @@ def test_every_ray_of_every_ideal_pair_meets_at_one_image(changes):
     assert hit.mean(axis=0) == pytest.approx(image, rel=1e-10)
 
 
+LENSED = {
+    "slab": {}, "wide gap": {"pair__field": {"gap": 0.5}}, "unequal": {"law__eta": [-0.6, -0.6]}, "cylinders": {"law__eta": [-1.0, -0.8]},
+    "plano": {"pair__form": "plano", "pair__thickness": [2.0, 1.0]}, "hexagonal": {"lattice__kind": "hexagonal"},
+    "curved inside": {"pair__form": "plano", "pair__thickness": [2.0, 1.0], "pair__curved": "inside"},
+    "biconvex": {"pair__form": "biconvex", "pair__thickness": 1.0},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("aperture", ["centred", "aligned", [0.01, -0.005]])
+@pytest.mark.parametrize("form", LENSED)
+def test_every_ray_of_every_pair_with_a_field_lens_meets_at_one_image(form, aperture):
+    """Of ideal lenses exactly; of small real ones the middles of the spots of three cells agree."""
+    lensed = {"pair__field_lens": True, "pair__surface": "ellipsoid", "lattice__pitch": 0.05}
+    window = clacad.prescribe(
+        design(**lensed, **LENSED[form], law__delta=[0.004, -0.002], lattice__aperture=aperture)
+    )
+    cells, rng = window.lattice.cells()[[30, 40, 50]], np.random.default_rng(0)
+    owner = np.repeat(np.arange(3), 40)
+    at = window.lattice.centres(cells)[owner] + rng.uniform(-0.015, 0.015, (120, 2))
+    way = np.column_stack(
+        [at + 300.0 * np.divide(window.thin.shift, window.thin.offset[2]), np.full(120, 300.0)]
+    )
+    back = window.bodies[-1].back
+    ends = {"thin": window.thin.offset[2], "surfaces": back.vertex[2] - (0.5 if form == "biconvex" else 0.0)}
+    for rung, end in ends.items():
+        seen = clacad.trace(
+            window, clacad.Rays(np.column_stack([at, np.zeros(120)]) - 0.1 * way, way), rung=rung
+        )
+        alive = seen.fate == Fate.ALIVE
+        assert alive.mean() > 0.95 or (form == "cylinders" and rung == "surfaces")
+        far = (end + 400.0 - seen.position[:, 2]) / seen.direction[:, 2]
+        hit = seen.position[:, :2] + far[:, None] * seen.direction[:, :2]
+        slope, law = np.divide(window.thin.shift, window.thin.offset[2]), window.law
+        out = (slope - [law.delta_x, law.delta_y]) / [law.eta_x, law.eta_y]
+        off = np.abs(hit[alive].mean(axis=0) - (window.thin.shift + 400.0 * out))
+        assert off.max() < (1e-12 if rung == "thin" else 0.03 if form == "curved inside" else 0.01)
+        spots = [hit[alive & (owner == k)] for k in range(3)]
+        middles = [spot.mean(axis=0) for spot in spots if len(spot)]
+        if rung == "thin":
+            assert np.ptp(hit, axis=0).max() < 1e-13
+        else:
+            assert np.ptp(middles, axis=0).max() < (5e-3 if form == "curved inside" else 2e-4)
+
+
 @pytest.mark.parametrize("form", ["slab", "plano", "biconvex"])
 def test_steered_pairs_image_an_object_beside_the_axis_to_one_point(form):
     """Cells 2 lie where the light of the slope arrives, and no lens moves for it."""
@@ -231,6 +275,23 @@ def test_the_lenses_are_those_of_fifty_digits_also_where_they_run_away(eta, plan
         gap, exact = oracle.sharp(pair.focal_lengths, *planes)
         assert pair.separation == pytest.approx(float(gap), rel=2.0**-51)
         assert pair.pitch_ratio == pytest.approx(float(exact), rel=2.0**-51)
+
+
+@pytest.mark.parametrize("eta", [-1.0, -0.25, -3.0])
+@pytest.mark.parametrize(
+    "planes", [(-300.0, 400.0), (-inf, 400.0), (-300.0, inf), (-20.0, -17.0), (-1e12, 7.500000001)]
+)
+def test_lenses_around_a_field_lens_are_those_of_fifty_digits(eta, planes):
+    """Lens 1 images the object to the field lens, which images lens 1 onto lens 2; lens 2 images that to the image."""
+    pair = SharpPair.of(eta, 10.0, *planes, field=True)
+    with mp.workdps(50):
+        z, far = (mpf(0) if v in (inf, -inf) else 1 / mpf(v) for v in planes)
+        v = mpf(10) / (1 - mpf(eta))
+        f1, f2 = 1 / (1 / v - z), 1 / (1 / (10 - v) + far)
+        ratio = (1 - v * z) / (1 + (10 - v) * far)
+    assert pair.focal_lengths == pytest.approx((float(f1), float(f2)), rel=2.0**-52)
+    assert pair.separation == pytest.approx(10.0, rel=1e-14)
+    assert pair.pitch_ratio == pytest.approx(float(ratio), rel=1e-14)
 
 
 @pytest.mark.parametrize("kappa", [-0.005, 0.01])

@@ -299,15 +299,24 @@ class SharpPair:
     image_distance: float
 
     @staticmethod
-    def of(eta: float, separation: float, object_z: float, image_distance: float) -> SharpPair:
+    def of(
+        eta: float, separation: float, object_z: float, image_distance: float, field: bool = False
+    ) -> SharpPair:
         """The pair with lenses `separation` apart whose chief rays (through the middle of lens 1) have η.
 
         Behind lens 2 their slope is t (1 − s/f2) + …, so that f2 = −η s/(1 − η) for any planes. Lens 1 then
         images the object to where lens 2 needs it. f1 is 0 where lens 2 needs the image in lens 1, infinite
         where it needs no lens 1.
+
+        field : Whether a field lens images lens 1 onto lens 2. The image between them then lies at that lens,
+            s/(1 − η) behind lens 1, for any planes: each lens gains the power that its own plane needs.
         """
         s, f2 = Exact(separation), -Exact(eta) * Exact(separation) / (1 - Exact(eta))
         near, far = _reciprocal(object_z), _reciprocal(image_distance)
+        if field:
+            f1 = s - f2
+            first, second = _ratio(f1, 1 - near * f1), _ratio(f2, 1 + far * f2)
+            return SharpPair((first, second), object_z, image_distance)
         between = s * (1 - f2 * far) - f2, 1 - f2 * far  # v, as numerator and denominator
         return SharpPair(
             (_ratio(between[0], between[1] - near * between[0]), float(f2)), object_z, image_distance
