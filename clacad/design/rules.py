@@ -441,10 +441,11 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
     if not a(PAIR.field_lens) or form is None or eta is None or euler is None:
         return
     sharp = a(PAIR.focus) is not None
+    kind = "sharp" if sharp else form
     if euler[1] != 0.0 and (form != "biconvex" or sharp):
         yield Mistake(
             "CL127",
-            f"theta = {euler[1]:g} deg: a field lens of a tilted {'sharp' if sharp else form} pair is not made",
+            f"theta = {euler[1]:g} deg: a field lens of a tilted {kind} pair is not made",
             f"{LAW.euler}.1",
             allowed="theta = 0",
             hint="theta = 0" if sharp else 'pair.form = "biconvex", or theta = 0',

@@ -217,7 +217,7 @@ def _lens_by_lens(pairs: tuple[SharpPair, SharpPair]) -> tuple[Pair2, Pair2]:
 
 
 def images_between(design: Design, separation: float, thickness: Pair2, index: float) -> LensPair:
-    """Symmetric lenses whose foci lie where sharp thick lenses have the image between them, at the field lens.
+    """Symmetric lenses with their foci where sharp thick lenses have the image between them.
 
     Their focal lengths are the distances to it from the principal planes of the sharp lenses; the radii are
     those of lenses with these focal lengths.
@@ -242,7 +242,7 @@ def images_between(design: Design, separation: float, thickness: Pair2, index: f
 def refocused(offset: Floats, cell: Floats, focal: Pair2, afocal: Pair2) -> Floats:
     """Offset (2,), lengths, of a lens 2 of focal lengths `focal` in place of `afocal`, chief rays unchanged.
 
-    They reach it in the centre of its cell, at `cell` (2,) from the axis of lens 1, and its vertex bends them.
+    They reach it in the centre of its cell, `cell` (2,) from the axis of lens 1; its vertex bends them.
     """
     return np.asarray(cell + (offset - cell) * np.divide(focal, afocal))
 
