@@ -99,7 +99,7 @@ def cell_option() -> Any:
 def of_cell(design: Design, cell: tuple[int, int] | None) -> Design:
     """Design of the uniform sheet of a cell; the design itself where none is requested.
 
-    Raises BadRequest, DesignError, CellsDiffer.
+    Raises BadRequest, DesignError.
     """
     if cell is None:
         return design

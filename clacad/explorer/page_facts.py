@@ -19,7 +19,6 @@ from clacad.design.sections import SPECTRA, AimedAt
 from clacad.light.compare import paraxial
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH, SEPARATIONS, VIEWING_DISTANCE
 from clacad.sheet.like_cell import in_light
-from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.plate import Plate
 from clacad.sheet.vignetting import aperture_slopes, half_field, thin_cells
 from clacad.sheet.window import Window
@@ -255,8 +254,6 @@ PRESETS: tuple[tuple[str, Mapping[str, float]], ...] = (
 def facts(design: Design, window: Window, moved: tuple[Slider, ...]) -> dict[str, Any]:
     """All the page's script needs, as plain JSON; in the design's unit, wavelength and `unitM` in metres."""
     lattice, aperture, aimed = window.lattice, design.lattice.aperture, aim(design)
-    if aimed is None or design.law_spec.varying is not None:
-        need_equal_cells(window, "the page of sliders", "--cell I,J shows the uniform sheet of one cell")
     return {
         "kind": lattice.kind,
         "form": window.form,
@@ -322,21 +319,24 @@ def _outline(design: Design) -> list[Any] | None:
 def chosen_cell(design: Design, cell: tuple[int, int] | None) -> tuple[Design, tuple[str, ...]]:
     """Design of the uniform sheet of a cell, and a sentence that names the cell and how the others differ.
 
-    Raises BadRequest, DesignError, CellsDiffer.
+    cell : (i, j), or None: the middle one; a sheet that is only aimed is then shown as it is.
+    Raises BadRequest, DesignError.
     """
     from clacad.exporting.limits import refuse_no_cell
     from clacad.prescription.prescribe import design_of_cell, prescribe
 
-    if cell is None:
-        return design, ()
     window = prescribe(design)
-    refuse_no_cell(window, cell)
-    if window.uniform:
+    if cell is not None:
+        refuse_no_cell(window, cell)
+    if window.uniform or (cell is None and window.cell_laws is None and aim(design) is not None):
         return design, ()
+    if cell is None:
+        cells = window.lattice.cells()
+        i, j = cells[int(np.argmin(np.hypot(*window.lattice.centres(cells).T)))].tolist()
+        cell = i, j
     like = design_of_cell(design, window, cell)
-    return like, (
-        f"cell {cell[0]},{cell[1]} of {design.name}; the others differ by {_differences(window, cell)}",
-    )
+    words = f"cell {cell[0]},{cell[1]} of {design.name}; the others differ by {_differences(window, cell)}"
+    return like, (words, "the common image of its sharp pairs")[: 1 + (design.pair.focus is not None)]
 
 
 def _differences(window: Window, cell: tuple[int, int]) -> str:

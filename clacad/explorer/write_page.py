@@ -163,7 +163,8 @@ def explore(
     overwrite, dry_run : bool
         Replace a file that is there; make the page and report its size, but write nothing.
     cell : (i, j), optional
-        Show the uniform sheet of this cell of a non-uniform sheet. Not needed for a sheet that is only aimed.
+        Show the uniform sheet of this cell of a non-uniform sheet; by default of the middle one. A sheet that
+        is only aimed is shown as it is.
 
     Returns
     -------
@@ -175,8 +176,6 @@ def explore(
         `out` is no page, or cannot be written.
     LimitRefused, NoSuchLens, DesignError
         The design has too many lenslets, or cannot be built.
-    CellsDiffer
-        CL139: The law of the cells varies, or array 2 has a pitch of its own, and no cell is given.
 
     Examples
     --------

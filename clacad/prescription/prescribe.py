@@ -13,14 +13,16 @@ given: nothing is solved, the faces are those of the design, `clacad.prescriptio
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clacad.design.sections import PAIR, AimedAt
 from clacad.prescription.radii import NoSuchLens
+from clacad.sheet.face_order import refractions
 
 if TYPE_CHECKING:
+    from clacad.base.types import Ints
     from clacad.design import Design
     from clacad.prescription.intent import Intent
     from clacad.sheet.window import Window
@@ -68,40 +70,58 @@ def prescribe(design: Design) -> Window:
 
 
 def design_of_cell(design: Design, window: Window, cell: tuple[int, int]) -> Design:
-    """Design of a uniform sheet whose cells are like one cell of an aimed sheet, or of one whose law varies.
-
-    window : of the design
-    cell : (i, j)
-
-    Raises
-    ------
-    CellsDiffer
-        Its arrays have other pitches, or share a focus: no uniform sheet has such a cell.
+    """Design of a uniform sheet whose cells are like one cell (i, j) of a non-uniform sheet; `window` is the
+    design's. The faces of sharp pairs are given, for no uniform sheet has a common image.
     """
     from clacad.design import Design
     from clacad.design.read import read_changed
-    from clacad.sheet.need_window import CellsDiffer
     from clacad.sheet.vignetting import aperture_slopes
 
-    lattice, law = dict(design.given["lattice"]), dict(design.given["law"])
     if window.uniform:
         return design
-    if design.pair.focus is not None or design.lattice.pitch_2 is not None or design.lattice.rotation_2:
-        raise CellsDiffer(
-            "the uniform sheet of a cell", "array 2 has places of its own, or the pairs are sharp"
-        )
-    own = window.law_at(cell)
-    if law.pop("varying", None) is not None:
+    lattice, law, pair = (dict(design.given[name]) for name in ("lattice", "law", "pair"))
+    own, aimed = window.law_at(cell), design.lattice.aperture
+    placed = [lattice.pop(key, None) is not None for key in ("pitch_2", "rotation_2")]
+    sharp = design.pair.focus is not None
+    varying = law.pop("varying", None) is not None
+    if varying or sharp or any(placed):
         law |= {"eta": [own.eta_x, own.eta_y], "delta": [own.delta_x, own.delta_y]}
-        if design.lattice.aperture == "centred":  # the cells of array 2 are centred for the sheet's centre
-            slope = aperture_slopes(window, np.array([cell]))[0].tolist()
-            lattice["aperture"] = "aligned" if window.shifts[1] == (0.0, 0.0) else slope
-    aimed = design.lattice.aperture
     if isinstance(aimed, AimedAt):
         x, y, z = aimed.point
         at_x, at_y = window.centres(0, np.array(cell)).tolist()
         lattice["aperture"] = [(x - at_x) / z, (y - at_y) / z]
-    return Design(**read_changed({**design.given, "lattice": lattice, "law": law}, design.path, {}))
+    elif sharp or any(placed) or (varying and aimed == "centred"):
+        # the cells of array 2 are centred for the sheet's centre
+        slope = aperture_slopes(window, np.array([cell]))[0].tolist()
+        moved = window.placements[1].own or window.shifts[1] != (0.0, 0.0)
+        lattice["aperture"] = slope if moved else "aligned"
+    if sharp:
+        pair = _with_given_faces(pair, window, np.array(cell))
+    changed = {**design.given, "lattice": lattice, "law": law, "pair": pair}
+    return Design(**read_changed(changed, design.path, {}))
+
+
+def _with_given_faces(pair: dict[str, Any], window: Window, cell: Ints) -> dict[str, Any]:
+    """Keys of [pair] that give the faces of one cell (2,), and the place of its lens 2."""
+    from clacad.prescription.bodies import given_conics
+
+    found = {key: value for key, value in pair.items() if key not in RECIPE_KEYS}
+    if window.form != "slab":
+        found["thickness"] = list(window.recipe["T"])
+    faces, ends = [], {}
+    for _, face, _, _ in refractions(window.bodies):
+        own = window.in_cell(face, cell)
+        bent = (own.surface.curvature_x, own.surface.curvature_y)
+        radius = ["inf" if c == 0.0 else 1.0 / c for c in bent]
+        faces.append({"radius": radius, "conic": list(given_conics(own.surface)) if any(bent) else 0.0})
+        if face.array in (0, 1) and any(bent):
+            ends[face.array] = own.vertex + np.array([*window.centres(face.array, cell), 0.0])
+    apart = (ends[1] - ends[0]) @ window.law.rotation
+    return {**found, "prescription": "given", "face": faces, "vertex": apart[:2].tolist()}
+
+
+RECIPE_KEYS = ("focus", "surface", "conic", "depth", "confocal", "offset")
+"""Keys of [pair] that given faces exclude, or do without."""
 
 
 def placed(design: Design) -> Window:

@@ -95,8 +95,10 @@ VARYING = ["--set", "lattice.count=[9,7]", "--set", "law.varying={gradient=[[0.0
 
 def test_the_page_of_a_cell_names_it_and_how_the_others_differ(tmp_path, capsys):
     page = tmp_path / "page.html"
-    assert main(["explore", SLAB, *VARYING, "-o", str(page)]) == 2
-    assert "--cell I,J shows the uniform sheet of one cell" in capsys.readouterr().err
+    dry = ["explore", SLAB, *VARYING[:2], "-o", str(page), "--dry-run", "--json", "--set"]
+    for change in (VARYING[3], "lattice.pitch_2=0.501", "pair.focus={object=-300, image=400}"):
+        assert main([*dry, change]) == 0
+        assert json.loads(capsys.readouterr().out)["not_shown"][0].startswith("cell 4,3 of slab; the others")
     assert main(["explore", SLAB, *VARYING, "-o", str(page), "--cell", "9,0"]) == 2
     capsys.readouterr()
     assert main(["explore", SLAB, *VARYING, "-o", str(page), "--cell", "0,3", "--json"]) == 0
