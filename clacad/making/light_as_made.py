@@ -128,7 +128,7 @@ class LightAsMade:
     formed, everything : float, radians
         Rms error as made: of light clear of roundings, and of all light.
     bias : float, radians
-        Mean difference of direction to the law, as made.
+        Mean difference of direction to the law of light clear of roundings, as made.
     share_designed, share_formed, share_rounded : float
         Shares of all light that pass as designed; clear of roundings; and that pass but met one.
     texture : float, metres
@@ -168,7 +168,7 @@ class LightAsMade:
         return [
             ("error of light clear of roundings, rms", mrad_text(self.designed), mrad_text(self.formed)),
             ("error of all light, rms", mrad_text(self.designed), mrad_text(self.everything)),
-            ("mean error", "", mrad_text(self.bias)),
+            ("mean error of light clear of roundings", "", mrad_text(self.bias)),
             (
                 "light that passes clear of roundings",
                 percent_text(self.share_designed),
@@ -227,7 +227,7 @@ def light_as_made(
         ideal.rms,
         formed.rms,
         everything.rms,
-        _bias(everything),
+        _bias(formed),
         ideal.share,
         formed.share,
         everything.share - formed.share,
