@@ -303,6 +303,12 @@ class Cost:
     light: float
     needed: str
 
+    def __str__(self) -> str:
+        """What it costs, in a few words."""
+        costs = [mrad_text(self.error, 3)] if self.error else []
+        costs += [f"{percent_text(self.light, 2)} of the light"] if self.light else []
+        return f"process.{self.key} {' and '.join(costs) or 'nothing'}"
+
 
 @dataclass(frozen=True)
 class JudgedAsMade:
@@ -371,7 +377,9 @@ def judge_as_made(design: Design, window: Window, rays: int = RAYS) -> JudgedAsM
     """
     seen = worst_cell(window, design.check.field)
     found = light_as_made(design, seen.like, rays)
-    return JudgedAsMade(found, _checks(design, found, seen.words), tuple(_costs(design, seen.like, found)))
+    return JudgedAsMade(
+        found, _checks(design, found, seen.words), tuple(costs_alone(design, seen.like, found))
+    )
 
 
 def _checks(design: Design, found: LightAsMade, cell: str) -> tuple[Check, ...]:
@@ -401,7 +409,7 @@ def _checks(design: Design, found: LightAsMade, cell: str) -> tuple[Check, ...]:
     )
 
 
-def _costs(design: Design, window: Window, found: LightAsMade) -> Iterator[Cost]:
+def costs_alone(design: Design, window: Window, found: LightAsMade) -> Iterator[Cost]:
     """Cost of each parameter of the process, each alone on the sheet as designed."""
     process, spec = found.process, design.check
     limit = spec.law_rms

@@ -71,7 +71,7 @@ def test_light_as_made_is_that_of_an_independent_trace(case, sheets):
     assert abs(made.bias - 1e-3 * case["law_bias_mrad"]) < max(2e-6, standard_error)
     if case["design"] != "fs01":
         assert close(made.everything, 1e-3 * case["law_rms_all_mrad"])
-    else:  # 1545 of the 65536 recorded rays met a rounding: a draw of so many has a standard error of 1.7 %
+    else:  # 1545 of the 65536 recorded rays met a rounding: their draw has a standard error of 1.7 %
         assert abs(made.everything / (1e-3 * case["law_rms_all_mrad"]) - 1.0) < 2.0 * 0.017
     assert made.share_formed == pytest.approx(case["share_formed"], abs=3e-3)
     assert made.share_formed + made.share_rounded == pytest.approx(case["share_alive"], abs=3e-3)
@@ -517,6 +517,12 @@ def test_a_sheet_that_nothing_is_left_on_has_the_light_of_a_plain_trace(name):
     assert made.share_formed == pytest.approx(plain.share, abs=3e-3)
 
 
+def row_share(design, window):
+    """Formed light over all that passes, by another number of rays."""
+    made = light_as_made(design, window, 16384)
+    return made.share_formed / (made.share_formed + made.share_rounded)
+
+
 @pytest.mark.slow
 def test_the_accuracy_row_sets_light_as_made_against_the_design(sheets):
     design, window = sheets["window"]
@@ -526,6 +532,9 @@ def test_the_accuracy_row_sets_light_as_made_against_the_design(sheets):
     assert row.designed == pytest.approx(plain.rms, rel=1e-6)
     assert row.everything > 10 * row.formed  # rounded seams own the error of all light
     assert row.sentence().startswith("as designed against as made (diamond-turning)")
+    costs = {one.key: one for one in row.costs}
+    assert costs["nose"].light == pytest.approx(1.0 - row_share(design, window), rel=0.1)
+    assert f"process.nose {100 * costs['nose'].light:.2g} % of the light" in row.sentence()
     moire = clacad.load("window-100mm", ["lattice.count = [4, 4]", "lattice.rotation_2 = '0.1 deg'"])
     with pytest.raises(NotPossible, match="arrays have different cells"):
         light_as_made(moire, clacad.prescribe(moire), 64)
