@@ -140,8 +140,8 @@ class TolerancesSpec:
 
     A field lens on its own plate, and every plate between the first and the last of a list, has the larger
     tolerance of the two arrays. Each tolerance t means ±t
-    (roughness: 0 … t); 0 means no error. A scatter is a standard deviation from lenslet to lenslet, the same
-    on every sheet. `grade` is the key `class`, whose values replace absent ones.
+    (roughness and nose: 0 … t); 0 means no error. A scatter is a standard deviation from lenslet to lenslet,
+    the same on every sheet. `grade` is the key `class`, whose values replace absent ones.
     """
 
     grade: str | None = key(
@@ -171,6 +171,21 @@ class TolerancesSpec:
     roughness: float = key(_LIMIT_LENGTH, "rms roughness of the optical faces, from 0 up", 0.0)
     shrinkage: float = key(
         _PART_FROM_0, "error of the shrinkage of all lens faces in height, by the process", 0.0, later=True
+    )
+    shrinkage_lateral: float = key(
+        _PART_FROM_0, "error of the shrinkage of all lens faces in x and y, by the process", 0.0, later=True
+    )
+    gamma: float = key(
+        _PART_FROM_0,
+        "error of the power by which the process changes the heights of all lens faces",
+        0.0,
+        later=True,
+    )
+    nose: float = key(
+        _LIMIT_LENGTH,
+        "radius from 0 up of a tool nose, which rounds the valleys between lenslets",
+        0.0,
+        later=True,
     )
     scatter_pitch: Pair2 = key(
         Several(_LIMIT_LENGTH, _ARRAYS, single=True),

@@ -128,7 +128,7 @@ class LightAsMade:
     formed, everything : float, radians
         Rms error as made: of light clear of roundings, and of all light.
     bias : float, radians
-        Mean difference of direction to the law, as made.
+        Mean difference of direction to the law of light clear of roundings, as made.
     share_designed, share_formed, share_rounded : float
         Shares of all light that pass as designed; clear of roundings; and that pass but met one.
     texture : float, metres
@@ -168,7 +168,7 @@ class LightAsMade:
         return [
             ("error of light clear of roundings, rms", mrad_text(self.designed), mrad_text(self.formed)),
             ("error of all light, rms", mrad_text(self.designed), mrad_text(self.everything)),
-            ("mean error", "", mrad_text(self.bias)),
+            ("mean error of light clear of roundings", "", mrad_text(self.bias)),
             (
                 "light that passes clear of roundings",
                 percent_text(self.share_designed),
@@ -227,7 +227,7 @@ def light_as_made(
         ideal.rms,
         formed.rms,
         everything.rms,
-        _bias(everything),
+        _bias(formed),
         ideal.share,
         formed.share,
         everything.share - formed.share,
@@ -303,6 +303,12 @@ class Cost:
     light: float
     needed: str
 
+    def __str__(self) -> str:
+        """What it costs, in a few words."""
+        costs = [mrad_text(self.error, 3)] if self.error else []
+        costs += [f"{percent_text(self.light, 2)} of the light"] if self.light else []
+        return f"process.{self.key} {' and '.join(costs) or 'nothing'}"
+
 
 @dataclass(frozen=True)
 class JudgedAsMade:
@@ -371,7 +377,9 @@ def judge_as_made(design: Design, window: Window, rays: int = RAYS) -> JudgedAsM
     """
     seen = worst_cell(window, design.check.field)
     found = light_as_made(design, seen.like, rays)
-    return JudgedAsMade(found, _checks(design, found, seen.words), tuple(_costs(design, seen.like, found)))
+    return JudgedAsMade(
+        found, _checks(design, found, seen.words), tuple(costs_alone(design, seen.like, found))
+    )
 
 
 def _checks(design: Design, found: LightAsMade, cell: str) -> tuple[Check, ...]:
@@ -401,7 +409,7 @@ def _checks(design: Design, found: LightAsMade, cell: str) -> tuple[Check, ...]:
     )
 
 
-def _costs(design: Design, window: Window, found: LightAsMade) -> Iterator[Cost]:
+def costs_alone(design: Design, window: Window, found: LightAsMade) -> Iterator[Cost]:
     """Cost of each parameter of the process, each alone on the sheet as designed."""
     process, spec = found.process, design.check
     limit = spec.law_rms

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from clacad.base.types import Floats
 from clacad.base.vectors import axes_near, unit
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import Interface, trace_sequence
+from clacad.optics.surface import EvenPolynomial, Surface, conic_constants
 
 LOST = 0.1
 """Residual (radians) of a ray that is not transmitted: far above that of any useful lens, but finite."""
@@ -133,3 +135,65 @@ def legendre(s: Floats, t: Floats, count: int) -> Floats:
         pairs += [(i, degree - i) for i in range(degree + 1)]
     one, two = (np.polynomial.legendre.legvander(at, degree) for at in (s, t))
     return np.stack([one[:, i] * two[:, j] for i, j in pairs[:count]], axis=1)
+
+
+EVEN_ORDERS = {"a4": 4, "a6": 6, "a8": 8}
+"""Orders of the terms of an even polynomial."""
+
+
+def nearest_polynomial(
+    surface: Surface, x: Floats, y: Floats, height: Floats
+) -> tuple[EvenPolynomial, float, float]:
+    """The even polynomial nearest to heights over places of a lens frame, by least squares.
+
+    Parameters
+    ----------
+    surface : Surface
+        Gives the conic constants and the side, and the first values of the rest.
+    x, y, height : (n,) arrays, lengths
+
+    Returns
+    -------
+    surface : EvenPolynomial
+    rise, rms : float, length
+        What is added to all of its heights, and the rms difference that remains.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from clacad.optics.fit import nearest_polynomial
+    >>> from clacad.optics.surface import Quadric
+    >>> x, y = (one.ravel() for one in np.meshgrid(*2 * [np.linspace(-0.2, 0.2, 9)]))
+    >>> lens = Quadric(0.5, 0.5, 0.5)
+    >>> found, rise, rms = nearest_polynomial(lens, x, y, 1.01 * lens.sag(x, y) + 0.1)
+    >>> round(found.curvature_x, 6), round(rise, 9), rms < 1e-9
+    (0.505, 0.1, True)
+    """
+    conics = [0.0 if one is None else one for one in conic_constants(surface)]
+    terms = {name: getattr(surface, name, (0.0,) * (order // 2 + 1)) for name, order in EVEN_ORDERS.items()}
+    numbers = np.array(
+        [surface.curvature_x, surface.curvature_y, *(t for one in terms.values() for t in one)]
+    )
+    powers = [(2, 0), (0, 2), *((n - 2 * k, 2 * k) for n in (4, 6, 8) for k in range(n // 2 + 1))]
+    halves = float(np.abs(x).max()), float(np.abs(y).max())
+    sizes = np.array([halves[0] ** i * halves[1] ** j * (0.5 if i + j == 2 else 1.0) for i, j in powers])
+    basis = np.column_stack([(x / halves[0]) ** i * (y / halves[1]) ** j for i, j in powers])
+    best, upper = np.linalg.qr(np.column_stack([surface.side * basis, np.ones(len(x))]))
+    rise = 0.0
+    for _ in range(POLYNOMIAL_ROUNDS):
+        made = _polynomial(surface.side, conics, numbers)
+        change = np.linalg.solve(upper, best.T @ (height - rise - made.sag(x, y)))
+        numbers, rise = numbers + change[:-1] / sizes, rise + float(change[-1])
+    made = _polynomial(surface.side, conics, numbers)
+    return made, rise, float(np.sqrt(np.mean((height - rise - made.sag(x, y)) ** 2)))
+
+
+POLYNOMIAL_ROUNDS = 4
+"""Linear steps to the nearest polynomial: curvatures enter the height not quite linearly."""
+
+
+def _polynomial(side: int, conics: Sequence[float], numbers: Floats) -> EvenPolynomial:
+    """Even polynomial of curvatures (2,) and terms of order 4, 6 and 8, (12,)."""
+    cx, cy, *rest = numbers.tolist()
+    terms: dict[str, Any] = {"a4": tuple(rest[:3]), "a6": tuple(rest[3:7]), "a8": tuple(rest[7:])}
+    return EvenPolynomial(cx, cy, conics[0], conics[1], side=side, **terms)

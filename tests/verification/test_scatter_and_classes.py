@@ -10,11 +10,13 @@ from verification.test_tolerance import PLANO, SLAB
 
 from clacad.cli import main
 from clacad.design import Design, DesignError, load
+from clacad.design.process import Process
 from clacad.design.process_profiles import TOLERANCE_CLASSES
+from clacad.making.light_as_made import light_as_made
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric
 from clacad.prescription.prescribe import prescribe
+from clacad.sheet.shrunk import grown_surface
 from clacad.verification.tolerance import Farm, bench, draw, parameters, tolerance
-from clacad.verification.tolerance.misaligned import flattened
 from clacad.verification.tolerance.study import yield_if_tighter
 
 SCATTER = {
@@ -98,7 +100,9 @@ def test_a_scatter_is_the_same_on_every_sheet_and_ranked_next_to_errors_of_array
 def test_a_face_that_shrinks_in_height_has_its_heights_times_one_less_the_error(surface):
     at = np.linspace(-0.5, 0.5, 21)
     x, y = np.meshgrid(at, at)
-    assert flattened(surface, 0.03).sag(x, y) == pytest.approx(0.97 * surface.sag(x, y), rel=1e-12, abs=1e-15)
+    assert grown_surface(surface, (1.0, 1.0, 0.97)).sag(x, y) == pytest.approx(
+        0.97 * surface.sag(x, y), rel=1e-12, abs=1e-15
+    )
 
 
 def test_an_error_of_the_shrinkage_is_a_contributor_with_the_power_of_longer_focal_lengths():
@@ -109,6 +113,43 @@ def test_an_error_of_the_shrinkage_is_a_contributor_with_the_power_of_longer_foc
     table = bench(design, window, 64)
     f1 = window.thin.focal_length[0][0]
     assert table.measured({"shrinkage": 1e-4})["power_xx"] == pytest.approx(2e-4 * 1e3 / f1, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("errors", "process"),
+    [
+        ({"gamma": 0.02}, Process(gamma=1.02)),
+        ({"gamma": -0.02}, Process(gamma=0.98)),
+        ({"shrinkage": 0.02}, Process(shrinkage=(0.0, 0.0, 0.02))),
+        ({"shrinkage_lateral": 0.01}, Process(shrinkage=(0.01, 0.01, 0.0))),
+        ({"nose": 0.2}, Process(nose=200e-6)),
+        ({"nose.insert": 0.2}, Process("moulding", nose=200e-6)),
+    ],
+)
+def test_an_error_of_the_process_leaves_the_light_of_the_sheet_as_made(errors, process):
+    """Faces fitted by polynomials and traced as a sequence, against heights traced by Newton's method."""
+    design = load("window-100mm", ["lattice.count = [4, 4]"])
+    window = prescribe(design)
+    table, made = bench(design, window, 1024), light_as_made(design, window, 8192, process)
+    found = table.measured(errors)
+    assert found["law_rms"] == pytest.approx(made.formed, rel=0.02)
+    loss = table.measured({})["throughput"] - found["throughput"]
+    assert loss == pytest.approx(made.share_designed - made.share_formed, abs=6e-3)
+
+
+def test_errors_of_the_process_are_contributors():
+    written = {"shrinkage_lateral": 0.01, "gamma": 0.02, "nose": "25 um", "samples": 4}
+    window = prescribe(made(**written))
+    assert [(one.name, one.half) for one in parameters(made(**written), window)] == [
+        ("shrinkage_lateral", 0.01),
+        ("gamma", 0.02),
+        ("nose", 0.025),
+    ]
+    study = tolerance(made(**written), rays=64, farm=Farm(1))
+    assert study.ranking("law_rms")[0][0] in ("gamma", "shrinkage_lateral")
+    assert study.ranking("throughput")[0][1] > 0.0
+    moulded = made(SLAB | {"check": {"process": "moulding"}}, nose="25 um")
+    assert [one.name for one in parameters(moulded, window)] == ["nose.insert"]
 
 
 @pytest.mark.parametrize("name", TOLERANCE_CLASSES)

@@ -18,6 +18,7 @@ from clacad.base.interactive import Tabular, columns_of
 from clacad.base.text import mrad_text, plain, size_text
 
 if TYPE_CHECKING:
+    from clacad.making.light_as_made import Cost
     from clacad.verification.accuracy.file_floors import Floor
 
 
@@ -132,6 +133,7 @@ class MadeCost:
     designed, formed, everything : radians. Rms error to the law: as designed; as made clear of roundings, and
         of all light.
     designed_s, made_s : Processor seconds of the rays, through the exact surfaces and as made.
+    costs : What each parameter of the process costs alone: error, or light.
     """
 
     process: str
@@ -140,13 +142,15 @@ class MadeCost:
     everything: float
     designed_s: float
     made_s: float
+    costs: tuple[Cost, ...] = ()
 
     def sentence(self) -> str:
-        """Cost and result in one sentence."""
+        """Cost and result in one sentence, and what each parameter of the process costs alone."""
+        alone = f"; alone {', '.join(map(str, self.costs))}" if self.costs else ""
         return (
             f"as designed against as made ({self.process}): {mrad_text(self.designed, 3)} rms,"
             f" {mrad_text(self.formed, 3)} clear of roundings, {mrad_text(self.everything, 3)} of all light;"
-            f" {self.designed_s:.2g} s against {self.made_s:.2g} s of the same rays"
+            f" {self.designed_s:.2g} s against {self.made_s:.2g} s of the same rays{alone}"
         )
 
 

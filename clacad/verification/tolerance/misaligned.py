@@ -13,10 +13,10 @@ numbers of others.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import dist
 from statistics import NormalDist
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
@@ -24,14 +24,14 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.sequence import Interface, trace_sequence
-from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface, resized
+from clacad.optics.surface import Surface, resized
 from clacad.sheet.face_order import plates_of, refractions
 from clacad.sheet.feasibility import thicker
 from clacad.sheet.plate import Plate
+from clacad.sheet.shrunk import grown_surface
 from clacad.sheet.window import Body, Face, Window, in_optical_tile
 
 if TYPE_CHECKING:
-    from clacad.base.units import A4, A6, A8
     from clacad.design import Design
 
 
@@ -63,12 +63,14 @@ class Telescopelet:
     faces : list of (Face, array, Motion)
         For each interface: the design's face, the array it moves with, and the motion of that array.
     centre : (2,) lengths. Nominal centre of cell 1 in the sheet.
+    noses : Errors `NOSES`: a tool nose rounds seams, and light through them is not of this telescopelet.
     """
 
     window: Window
     seq: list[Interface]
     faces: list[tuple[Face, int, Motion]]
     centre: Floats
+    noses: Errors = field(default_factory=dict)
 
     def send(self, rays: Rays) -> TraceResult:
         """Trace rays given about the cell's centre; ALIVE are those that stay in this telescopelet, else
@@ -81,6 +83,11 @@ class Telescopelet:
         through = result.fate == Fate.ALIVE
         good = through.copy()
         assert result.hits is not None  # recorded
+        from clacad.design.process import Process
+        from clacad.making.made_surface import MadeSurface
+
+        unit = self.window.unit
+        processes = [Process(NOSES[name], radius * unit) for name, radius in self.noses.items()]
         for hits, (face, array, motion) in zip(result.hits, self.faces, strict=True):
             if face.array is None:
                 continue
@@ -88,6 +95,8 @@ class Telescopelet:
             before = motion.undone(hits + place) - place
             x, y = (before[:, :2] - self.window.shifts[array]).T
             good &= in_optical_tile(self.window, x, y)
+            for process in processes:
+                good &= ~MadeSurface(self.window, face, process).rounded(x, y)
             if face.land is not None:
                 good &= face.land_side * (face.land - before[:, 2]) >= 0.0
         return replace(
@@ -126,7 +135,8 @@ def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -
         plain = np.array_equal(turn, np.eye(3))
         seq.append(Interface(face.surface, moved, before, after, None if plain else turn))
         faces.append((face, array, motion))
-    return Telescopelet(_baffled(made), seq, faces, at)
+    noses = {name: errors[name] for name in NOSES if name in errors}
+    return Telescopelet(_baffled(made), seq, faces, at, noses)
 
 
 def _moves_with(number: int, plates: int) -> int:
@@ -149,7 +159,9 @@ def as_made(window: Window, errors: Errors) -> Window:
     parts = {id(face): part for _, part, face in _curved(window)}
     risen, gap = 0.0, 0  # of listed plates: all that lies behind a thicker body or gap moves away
     for number, body in enumerate(window.bodies, 1):
-        front, back = (_face_as_made(face, parts.get(id(face)), errors) for face in (body.front, body.back))
+        front, back = (
+            _face_as_made(window, face, parts.get(id(face)), errors) for face in (body.front, body.back)
+        )
         if body.joined:
             front = bodies[-1].back.seen_from_behind
         made = replace(body, front=front, back=back, index=body.index + errors.get(f"index.{number}", 0.0))
@@ -169,8 +181,8 @@ def as_made(window: Window, errors: Errors) -> Window:
     return replace(window, bodies=tuple(bodies))
 
 
-def _face_as_made(face: Face, part: str | None, errors: Errors) -> Face:
-    """The face with the errors of its radii and of the place of its lenslet."""
+def _face_as_made(window: Window, face: Face, part: str | None, errors: Errors) -> Face:
+    """The face with the errors of its radii, of the place of its lenslet, and of its process."""
     if part is None:
         return face
     alone = (
@@ -179,25 +191,21 @@ def _face_as_made(face: Face, part: str | None, errors: Errors) -> Face:
     )
     x, y, z = (place + step for place, step in zip(face.vertex, alone, strict=True))
     larger = errors.get(f"radius.{part}", 0.0) + errors.get(f"scatter_radius.{part}", 0.0)
-    surface = flattened(grown(face.surface, larger), errors.get("shrinkage", 0.0))
+    low, narrow = 1.0 - errors.get("shrinkage", 0.0), 1.0 - errors.get("shrinkage_lateral", 0.0)
+    surface: Surface = grown_surface(grown(face.surface, larger), (narrow, narrow, low))
+    bent = replace(face, surface=surface)
+    if gamma := errors.get("gamma", 0.0):
+        from clacad.design.process import Process
+        from clacad.making.made_surface import MadeSurface
+        from clacad.optics.fit import nearest_polynomial
+
+        made = MadeSurface(window, bent, Process(gamma=1.0 + gamma))
+        u, v = made.lens.grid
+        rise = face.side * (made.lens(u, v)[0] - made.wished(u, v)[0])
+        u, v = u - face.vertex[0], v - face.vertex[1]
+        surface, up, _ = nearest_polynomial(surface, u, v, surface.sag(u, v) + rise)
+        z += up
     return replace(face, surface=surface, vertex=(x, y, z))
-
-
-def flattened(surface: Surface, part: float) -> Surface:
-    """The surface with heights lower by a relative `part` p: R' = R/(1 − p), 1 + K' = (1 + K)/(1 − p)²."""
-    if part == 0.0:
-        return surface
-    low = 1.0 - part
-    cx, cy = surface.curvature_x * low, surface.curvature_y * low
-    if isinstance(surface, Quadric):
-        return Quadric(cx, cy, surface.kappa / low, surface.side)
-    conics = [(1.0 + one) / low**2 - 1.0 for one in (surface.conic_x, surface.conic_y)]
-    if isinstance(surface, Biconic):
-        return Biconic(cx, cy, conics[0], conics[1], surface.side)
-    a4 = tuple(low * term for term in surface.a4)
-    a6, a8 = tuple(low * term for term in surface.a6), tuple(low * term for term in surface.a8)
-    terms = (cast("A4", a4), surface.side, cast("A6", a6), cast("A8", a8))
-    return EvenPolynomial(cx, cy, conics[0], conics[1], *terms)
 
 
 def _thicker_outside(body: Body, change: float, number: int) -> Body:
@@ -275,6 +283,12 @@ def _turned(about_x: float, about_y: float, about_z: float) -> Floats:
     return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
 
 
+OF_PROCESS = ("shrinkage", "shrinkage_lateral", "gamma")
+"""Errors of the process that change the form of all lens faces."""
+
+NOSES = {"nose": "diamond-turning", "nose.insert": "moulding"}
+"""Error of a nose, and a process whose tool cuts the part, or the insert that it is moulded in."""
+
 SIGMAS = 2.0
 """Standard deviations of a normal distribution in a stated tolerance."""
 
@@ -340,7 +354,9 @@ def parameters(design: Design, window: Window) -> tuple[Parameter, ...]:
     ]
     found += [Parameter(f"tilt.{axis}", "tilt", spec.tilt, "rad") for axis in "xy"]
     found.append(Parameter("roughness", "roughness", spec.roughness, unit, one_sided=True))
-    found.append(Parameter("shrinkage", "shrinkage", spec.shrinkage, ""))
+    found += [Parameter(name, name, getattr(spec, name), "") for name in OF_PROCESS]
+    cuts = "nose.insert" if design.check.process == NOSES["nose.insert"] else "nose"
+    found.append(Parameter(cuts, "nose", spec.nose, unit, one_sided=True))
     found += _play(design)
     found += _scatter(design, window)
     return tuple(p for p in found if p.half > 0.0)
