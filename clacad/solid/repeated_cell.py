@@ -106,16 +106,6 @@ class Cell:
         return not np.array_equal(self.tile, self.zone)
 
 
-def open_face(side: int) -> CellFace:
-    """The side of a tiling on which the body has no face (the other array of a displaced slab)."""
-    return CellFace(side, open=True)
-
-
-def plane_face(side: int, level: float) -> CellFace:
-    """A face that is one plane over all cells, at `level` (mm)."""
-    return CellFace(side, level=level, plane=True)
-
-
 def make_cell(
     window: Window,
     front: Face | None,
@@ -176,9 +166,11 @@ def _made_cell(
 
 
 def _flat_face(face: Face | None, side: int, level: float | None) -> CellFace | None:
-    if face is None:
-        return open_face(side) if level is None else plane_face(side, level)
-    return plane_face(side, face.vertex[2]) if face.array is None else None
+    """A plane over all cells, or the open side of a displaced slab, without a face there; None for a lens."""
+    if face is not None and face.array is not None:
+        return None
+    level = level if face is None else face.vertex[2]
+    return CellFace(side, level=level, plane=level is not None, open=level is None)
 
 
 def _footprint(flat: CellFace, rim: Rim) -> CellFace:

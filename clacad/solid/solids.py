@@ -232,11 +232,7 @@ def single(window: Window) -> Lattice:
 def middle_plane(body: Body, window: Window) -> float:
     """Height (mm) of the plane at which a displaced slab is cut into two layers of cells."""
     scale = millimetres(window.unit)
-    return 0.5 * scale * sum(_reference(face) for face in (body.front, body.back))
-
-
-def _reference(face: Face) -> float:
-    return face.vertex[2]
+    return 0.5 * scale * sum(face.vertex[2] for face in (body.front, body.back))
 
 
 COLOURS = {"array1": (0.62, 0.78, 0.90), "array2": (0.90, 0.80, 0.62)}

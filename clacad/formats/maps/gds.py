@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Ints
-from clacad.formats.maps.sag import HeightMap, outward_height, plain_map, range_of_cell, structured_faces
+from clacad.formats.maps.sag import HeightMap, plain_map, range_of_cell, structured_faces
 from clacad.sheet.pattern import relocate
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import Body, Face, Window, column, face_height
@@ -81,13 +81,13 @@ class GreyCell:
         for low in range(0, len(cells), TOGETHER):
             yield laid.levels_in(cells[low : low + TOGETHER])
 
-    def each(self) -> Iterator[tuple[str, GreyCell]]:
-        """Name and levels of every drawn cell, row by row."""
-        if not self.own:
-            yield LENSLET, self
-            return
-        for n, level in enumerate(level for some in self.batches() for level in some):
-            yield f"{LENSLET}_{n}", replace(self, level=level)
+    def drawn(self) -> Iterator[Ints]:
+        """Levels (b, rows, columns) of all drawn cells, a few at once: of one where all are alike."""
+        yield from self.batches() if self.own else (self.level[None],)
+
+    def name(self, number: int) -> str:
+        """Name of a drawn cell in the file."""
+        return f"{LENSLET}_{number}" if self.own else LENSLET
 
     @property
     def coordinates(self) -> tuple[Floats, Floats]:
@@ -105,10 +105,8 @@ class GreyCell:
             Pixels of each layer: of the one cell, or of all cells that differ. None: they are counted.
         """
         if counts is None:
-            drawn = self.batches() if self.own else (self.level,)
-            counts = sum(
-                (_counted(level, self.levels) for level in drawn), np.zeros(self.levels, dtype=np.int64)
-            )
+            none = np.zeros(self.levels, dtype=np.int64)
+            counts = sum((_counted(level, self.levels) for level in self.drawn()), none)
         return {
             "face": self.map.label,
             "levels": self.levels,
@@ -123,17 +121,6 @@ class GreyCell:
             "grid_um": GRID,
             "pixels_of_layer": counts.tolist(),
         }
-
-    def boxes(self) -> Iterator[tuple[int, float, float, float, float]]:
-        """Layer and (x0, y0, x1, y1) in micrometres of runs of equal pixels, the cell's centre at 0."""
-        x, y = self.coordinates
-        for j, row in enumerate(self.level):
-            ends = np.flatnonzero(np.append(np.diff(row) != 0, True)) + 1
-            start = 0
-            for end in ends.tolist():
-                if row[start] >= 0:
-                    yield int(row[start]), float(x[start]), float(y[j]), float(x[end]), float(y[j + 1])
-                start = end
 
 
 def _on_grid(value: Floats) -> Floats:
@@ -173,18 +160,13 @@ def grey_cell(window: Window, body: Body, face: Face, label: str, levels: int, s
     map_ = replace(map_, low=low, high=high)
     if not map_.high > map_.low:
         raise NotPossible(f"gds: {label} is flat; there is one level only")
-    x, y, pixel = _pixels(map_)
+    _, _, pixel = _pixels(map_)
     um = scale * 1e3
     if min(pixel) * um < 4.0 * GRID:
         raise NotPossible(
             f"gds: pixels of {min(pixel) * scale * 1e6:.3g} nm lie below the file's grid of 1 nm"
         )
-    if own_cells(body, face):
-        level = _Pixels.of(map_, levels).levels_in(window.lattice.cells()[:1])[0]
-    else:
-        level = _levels_at(window.with_cells((1, 1)), body, map_, levels, x.ravel(), y.ravel()).reshape(
-            x.shape
-        )
+    level = _Pixels.of(map_, levels).levels_in(window.lattice.cells()[:1])[0]
     return GreyCell(map_, levels, (pixel[0] * um, pixel[1] * um), level)
 
 
@@ -253,72 +235,51 @@ class _Pixels:
         return cls(map_, levels, x, y, (steps == 0).all(axis=1).reshape(x.shape))
 
     def levels_in(self, cells: Ints) -> Ints:
-        """Levels (n, rows, columns) of kept cells (n, 2)."""
-        found = _outward(self.map, self.x, self.y, cells[:, None, None])
-        return _cut(self.map, self.levels, found, self.inside)
-
-
-def _levels_at(one: Window, body: Body, map_: HeightMap, levels: int, x: Floats, y: Floats) -> Ints:
-    """Level (n,) of a face at points (n,) from the centre of its cell, 0 the lowest; −1 outside the lens."""
-    assert map_.face.array is not None
-    index, _, _ = one.lattice_of(map_.face.array).locate(x, y)
-    dx, dy = one.shifts[map_.face.array]
-    found = outward_height(one, body, map_.face, x + dx, y + dy, map_.reference)
-    return _cut(map_, levels, found, (index == 0).all(axis=1))
-
-
-def _cut(map_: HeightMap, levels: int, found: Floats, inside: Bools) -> Ints:
-    """Levels (...) of heights (...), −1 outside and in holes."""
-    inside = inside & np.isfinite(found)
-    part = np.where(inside, (found - map_.low) / (map_.high - map_.low), 0.0)
-    return np.where(inside, np.clip(np.rint(part * (levels - 1)), 0, levels - 1), -1).astype(np.int64)
+        """Levels (n, rows, columns) of kept cells (n, 2), −1 outside and in holes."""
+        map_, levels = self.map, self.levels
+        found = _outward(map_, self.x, self.y, cells[:, None, None])
+        found = np.broadcast_to(found, (len(cells), *self.x.shape))
+        inside = self.inside & np.isfinite(found)
+        part = np.where(inside, (found - map_.low) / (map_.high - map_.low), 0.0)
+        return np.where(inside, np.clip(np.rint(part * (levels - 1)), 0, levels - 1), -1).astype(np.int64)
 
 
 def write_gds(cell: GreyCell, path: Path, scale: float) -> tuple[int, Ints]:
     """Write the cell once and a reference a row of cells, or each cell that differs; return the number of
     cells placed, and of pixels of each layer (levels,).
 
-    Raises NotPossible: The extra `gds` is not installed.
+    Raises NotPossible: The extra `gds`, which reads files back, is not installed.
     Raises OSError.
     """
     require_gdstk()
-    import gdstk
-
     counts = np.zeros(cell.levels, dtype=np.int64)
-    if cell.own:
-        with path.open("wb") as stream:
-            for part in _stream(cell, scale, counts):
-                stream.write(part)
-        return cell.map.window.lattice.cell_count, counts
-    library = gdstk.Library("clacad", unit=1e-6, precision=GRID * 1e-6)
-    lenslet, sheet = library.new_cell(LENSLET), library.new_cell(sheet_name(cell))
-    _draw(cell, lenslet)
-    placed = 0
-    for origin, number, pitch in _runs(cell.map.window, cell.map.face, scale * 1e3):
-        sheet.add(gdstk.Reference(lenslet, origin, columns=number, rows=1, spacing=(pitch, pitch)))
-        placed += number
-    library.write_gds(str(path), timestamp=_DATE)
-    return placed, _counted(cell.level, cell.levels)
+    with path.open("wb") as stream:
+        for part in _stream(cell, scale, counts):
+            stream.write(part)
+    return cell.map.window.lattice.cell_count, counts
 
 
 def _stream(cell: GreyCell, scale: float, counts: Ints) -> Iterator[bytes]:
-    """Yield the records of a file of cells that vary, in the memory of a few; `counts` (levels,) grows by
-    their pixels.
-    """
+    """Yield the records of a file, in the memory of a few cells; `counts` (levels,) grows by their pixels."""
     yield b"".join((_record(0x0002, b"\2\x58"), _record(0x0102, _DATES), _named(0x0206, "clacad"), _UNITS))
     x, y = (np.rint(one / GRID).astype(">i4").view(np.int32) for one in cell.coordinates)
     number = 0
-    for level in cell.batches():
+    for level in cell.drawn():
         counts += _counted(level, cell.levels)
         boxes, ends = _boxes(level, x, y)
         parts = []
         for low, high in zip([0, *ends[:-1]], ends, strict=True):
-            parts += [_BEGIN, _named(0x0606, f"{LENSLET}_{number}"), boxes[low:high].tobytes(), _END]
+            parts += [_BEGIN, _named(0x0606, cell.name(number)), boxes[low:high].tobytes(), _END]
             number += 1
         yield b"".join(parts)
     yield _BEGIN + _named(0x0606, sheet_name(cell))
-    for n, place in enumerate(_on_nanometres(cell, scale).astype(">i4")):
-        yield b"".join((_REFERENCE, _named(0x1206, f"{LENSLET}_{n}"), _PLACE, place.tobytes(), _END_ELEMENT))
+    for n, place in enumerate(_on_nanometres(cell, scale).astype(">i4") if cell.own else ()):
+        yield b"".join((_REFERENCE, _named(0x1206, cell.name(n)), _PLACE, place.tobytes(), _END_ELEMENT))
+    for (x0, y0), many, pitch in () if cell.own else _runs(cell.map.window, cell.map.face, scale * 1e3):
+        columns = _record(0x1302, struct.pack(">HH", many, 1))
+        corners = np.array([[x0, y0], [x0 + many * pitch, y0], [x0, y0 + pitch]]) * _SCALING
+        place = _record(0x1003, _rounded(corners).astype(">i4").tobytes())
+        yield b"".join((_ARRAY, _named(0x1206, LENSLET), columns, place, _END_ELEMENT))
     yield _END + _record(_ENDLIB)
 
 
@@ -359,12 +320,15 @@ def _named(kind: int, text: str) -> bytes:
 _LAYER, _BOUNDARY, _ENDLIB = 0x0D02, 0x0800, 0x0400
 _DATES = struct.pack(">12h", *(2 * [_DATE.year - 1900, _DATE.month, _DATE.day, 0, 0, 0]))
 _UNITS = _record(0x0305, bytes.fromhex("3e4189374bc6a7f03944b82fa09b5a54"))  # 1e-3 and 1e-9, base 16
-_BEGIN, _END, _REFERENCE, _END_ELEMENT = (
+_BEGIN, _END, _REFERENCE, _ARRAY, _END_ELEMENT = (
     _record(0x0502, _DATES),
     _record(0x0700),
     _record(0x0A00),
+    _record(0x0B00),
     _record(0x1100),
 )
+_SCALING = 1e-6 / (GRID * 1e-6)
+"""Database units in a micrometre, as the quotient of their lengths."""
 _PLACE = b"\0\x0c\x10\3"
 _BOX = np.array([0x00040800, 0x00060D02, 6, 0x0E020000, 0x002C1003, *10 * [0], 0x00041100], ">u4").view("i4")
 """Words of a rectangle on layer 0: boundary, layer, data type, five corners."""
@@ -375,16 +339,12 @@ def _on_nanometres(cell: GreyCell, scale: float) -> Ints:
     """Centres (n, 2) of all cells on the file's grid, nanometres; halves are rounded away from 0."""
     window, face = cell.map.window, cell.map.face
     assert face.array is not None
-    at = window.centres(face.array, window.lattice.cells()) * (scale * 1e3 / GRID)
+    return _rounded(window.centres(face.array, window.lattice.cells()) * (scale * 1e3 / GRID))
+
+
+def _rounded(at: Floats) -> Ints:
+    """Whole numbers next to numbers, halves away from 0."""
     return np.trunc(at + np.copysign(0.5, at)).astype(np.int64)
-
-
-def _draw(cell: GreyCell, lenslet: Any) -> None:
-    """Draw the boxes of a cell's levels into a cell of the file."""
-    import gdstk
-
-    for layer, x0, y0, x1, y1 in cell.boxes():
-        lenslet.add(gdstk.rectangle((x0, y0), (x1, y1), layer=layer))
 
 
 def sheet_name(cell: GreyCell) -> str:
@@ -410,21 +370,18 @@ def gds_bytes(window: Window, levels: int, scale: float) -> int:
     for body, face, label in structured_faces(window):
         cell = grey_cell(window, body, face, label, levels, scale)
         if cell.own:
-            total += 400 + _own_bytes(cell)
+            tried = representative_cells(window, "sample", SIZED)
+            drawn = sum(map(_count_of_boxes, cell.batches(tried)))
+            total += 400 + int(window.lattice.cell_count * (64 * drawn / len(tried) + 130))
             continue
-        total += 400 + 64 * sum(1 for _ in cell.boxes()) + 60 * sum(1 for _ in _runs(window, face, 1.0))
+        runs = sum(1 for _ in _runs(window, face, 1.0))
+        total += 400 + 64 * _count_of_boxes(cell.level[None]) + 60 * runs
     return total
 
 
-def _own_bytes(cell: GreyCell) -> int:
-    """Size of cells that vary, from the runs of a few of them."""
-    window = cell.map.window
-    tried = representative_cells(window, "sample", SIZED)
-    drawn = sum(
-        len(_boxes(level, *2 * [np.zeros(level.shape[2] + level.shape[1], dtype=np.int32)])[0])
-        for level in cell.batches(tried)
-    )
-    return int(window.lattice.cell_count * (64 * drawn / len(tried) + 130))
+def _count_of_boxes(level: Ints) -> int:
+    """Number of boxes of cells (b, rows, columns)."""
+    return len(_boxes(level, *2 * [np.zeros(level.shape[2] + level.shape[1], dtype=np.int32)])[0])
 
 
 def check_gds(cell: GreyCell, path: Path, scale: float) -> None:
@@ -443,9 +400,10 @@ def check_gds(cell: GreyCell, path: Path, scale: float) -> None:
     if stands != placed:
         raise FileDisagrees(f"{path.name}: {stands} cells were read back, {placed} written")
     counted: Counter[int] = Counter()
-    for name, one in cell.each():
+    for n, level in enumerate(level for some in cell.drawn() for level in some):
+        name = cell.name(n)
         lenslet = _of_name(by_name, name, path)
-        if not np.array_equal(_drawn(lenslet, one), one.level):
+        if not np.array_equal(_drawn(lenslet, cell), level):
             raise FileDisagrees(f"{path.name}: {name} was read back with other levels than were written")
         counted.update(polygon.layer for polygon in lenslet.polygons)
     if layer_counts(path) != counted:
@@ -512,7 +470,7 @@ def gds_misfit(cell: GreyCell, path: Path, scale: float) -> tuple[float, int]:
     places = [
         np.asarray(one.origin) + (one.repetition.get_offsets() if one.repetition.size else np.zeros((1, 2)))
         for n, one in enumerate(sheet.references)
-        if one.cell_name == (f"{LENSLET}_{n}" if cell.own else LENSLET)
+        if one.cell_name == cell.name(n)
     ]
     got = np.concatenate([*places, np.zeros((0, 2))]) * 1e-3
     turned = any(one.rotation or one.x_reflection or one.magnification != 1.0 for one in sheet.references)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -216,21 +216,19 @@ class Part:
 
     def own_box(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner of its facets before placing, (3,) each."""
-        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        return _box_of(self._corners_used())
+
+    def _corners_used(self) -> Iterator[Floats]:
+        """Corners (k, 3) of its facets before placing; those that facets share come once."""
         if self.soup is None and self.facet_count:
             assert self.vertices is not None
             used = self._used()
             for start in range(0, len(used), CHUNK):
                 corners = np.asarray(self.vertices[start : start + CHUNK], dtype=np.float64)
-                corners = corners[used[start : start + CHUNK]]
-                low = np.minimum(low, corners.min(axis=0, initial=np.inf))
-                high = np.maximum(high, corners.max(axis=0, initial=-np.inf))
-            return low, high
+                yield corners[used[start : start + CHUNK]]
+            return
         for start in range(0, self.facet_count, CHUNK):
-            corners = self.corners(start, start + CHUNK)
-            low = np.minimum(low, corners.min(axis=(0, 1)))
-            high = np.maximum(high, corners.max(axis=(0, 1)))
-        return low, high
+            yield self.corners(start, start + CHUNK).reshape(-1, 3)
 
     def pairs(self, size: int = CHUNK) -> Iterator[tuple[Floats, Floats | None]]:
         """Chunks as of `chunks`, with the unit normals (k, 3, 3) stored for their corners, or None."""
@@ -322,15 +320,20 @@ class FileMesh:
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for part in self.parts:
             for linear, _, first, last in kinds_and_ends(part):
-                least, most = np.full(3, np.inf), np.full(3, -np.inf)
-                for start in range(0, part.facet_count, CHUNK):
-                    corners = part.corners(start, start + CHUNK)
-                    corners = corners if np.array_equal(linear, np.eye(3)) else corners @ linear
-                    least = np.minimum(least, corners.min(axis=(0, 1)))
-                    most = np.maximum(most, corners.max(axis=(0, 1)))
-                low = np.minimum(low, least + first)
-                high = np.maximum(high, most + last)
+                plain = np.array_equal(linear, np.eye(3))
+                chunks = (part.corners(k, k + CHUNK) for k in range(0, part.facet_count, CHUNK))
+                least, most = _box_of((c if plain else c @ linear).reshape(-1, 3) for c in chunks)
+                low, high = np.minimum(low, least + first), np.maximum(high, most + last)
         return low, high
+
+
+def _box_of(chunks: Iterable[Floats]) -> tuple[Floats, Floats]:
+    """Lowest and highest corner, (3,) each, of points (k, 3) that come some at a time."""
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for points in chunks:
+        low = np.minimum(low, points.min(axis=0, initial=np.inf))
+        high = np.maximum(high, points.max(axis=0, initial=-np.inf))
+    return low, high
 
 
 def kinds(part: Part) -> list[tuple[Floats, Ints]]:

@@ -10,7 +10,7 @@ is measured once per orientation.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import fsum
 from typing import TYPE_CHECKING
 
@@ -74,8 +74,7 @@ def measure(chunks: Iterable[Floats], origin: Floats | None = None) -> Measure:
     if np.isnan(totals[VOLUME]):  # a corner that is no number has no position
         box[:] = np.nan
     volume, area = (float(totals[k] + totals[k + 1]) for k in (VOLUME, AREA))
-    bottom, top = ((float(corner[0]), float(corner[1]), float(corner[2])) for corner in box)
-    return Measure(facets, (int(sums[0]), int(sums[1])), volume / 6.0, 0.5 * area, bottom, top)
+    return Measure(facets, (int(sums[0]), int(sums[1])), volume / 6.0, 0.5 * area, *map(_triple, box))
 
 
 def crowded_edges(times: Ints) -> int:
@@ -140,11 +139,12 @@ def measure_repeated(mesh: FileMesh, factor: float) -> Measure:
         for part in parts:
             for one in _measures(part, factor):
                 imbalance = [(a + b) % (1 << 64) for a, b in zip(imbalance, one.imbalance, strict=True)]
-                found.append(_with(one, (0, 0)))
+                found.append(replace(one, imbalance=(0, 0)))
         found.append(Measure(0, (imbalance[0], imbalance[1]), 0.0, 0.0, (np.inf,) * 3, (-np.inf,) * 3))
     # an open object is not closed by another with the opposite gap
-    whole = joined([_with(one, (0, 0)) for one in found])
-    return _with(whole, next((one.imbalance for one in found if one.imbalance != (0, 0)), (0, 0)))
+    gaps = (one.imbalance for one in found if one.imbalance != (0, 0))
+    whole = joined([replace(one, imbalance=(0, 0)) for one in found])
+    return replace(whole, imbalance=next(gaps, (0, 0)))
 
 
 def objects(mesh: FileMesh) -> list[list[Part]]:
@@ -182,18 +182,9 @@ def _measures(part: Part, factor: float) -> Iterator[Measure]:
         one = measure(
             (part.corners(k, k + CHUNK) @ turn for k in range(0, part.facet_count, CHUNK)), origin=np.zeros(3)
         )
-        yield Measure(
-            one.facets * times,
-            one.imbalance,
-            one.volume * times,
-            one.area * times,
-            _triple(one.low + first * factor),
-            _triple(one.high + last * factor),
-        )
-
-
-def _with(one: Measure, imbalance: tuple[int, int]) -> Measure:
-    return Measure(one.facets, imbalance, one.volume, one.area, one.low, one.high)
+        low, high = (_triple(end + move * factor) for end, move in ((one.low, first), (one.high, last)))
+        facets, volume, area = one.facets * times, one.volume * times, one.area * times
+        yield Measure(facets, one.imbalance, volume, area, low, high)
 
 
 def _triple(values: Floats) -> tuple[float, float, float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import chain, cycle
 from pathlib import Path
 from typing import IO, Any, Literal
@@ -28,7 +28,7 @@ from clacad.solid.shells import MERGE, ShellCounts, Shells
 from clacad.solid.solids import describe_body, describe_layers, layers, middle_plane, single
 from clacad.solid.tilings import Layer
 
-__all__ = ["StepBodyFacts", "read_step", "step_text_length", "write_step", "write_step_stack"]
+__all__ = ["read_step", "step_text_length", "write_step", "write_step_stack"]
 
 Schema = Literal["AP242", "AP214"]
 Part = tuple[int, int]
@@ -153,54 +153,36 @@ class _Sheet:
     """One window in a file: its part, the content of each of its bodies, and its colours."""
 
     product: Part
-    bodies: list[StepBodyFacts]
+    bodies: list[dict[str, Any]]
     styles: list[int]
 
 
-@dataclass(frozen=True, slots=True)
-class StepBodyFacts:
-    """Facts written of one body; solids and faces counted as placed."""
-
-    name: str
-    solids: int
-    faces: dict[str, int]
-    saddles: int
-    wedges: int
-    merged_steps: int
-    largest_shift: float
-    fit_error: float
-    rim_error: float
+_SUMS, _WORST = ("saddles", "wedges", "merged_steps"), ("largest_shift", "fit_error", "rim_error")
+"""Facts of a body of which a file states the sum, and those of which it states the largest."""
 
 
-def _total(bodies: Sequence[StepBodyFacts]) -> dict[str, Any]:
+def _total(bodies: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Facts of a file from those of its bodies."""
     return {
-        "solids": sum(body.solids for body in bodies),
-        "faces": sum(sum(body.faces.values()) for body in bodies),
-        "saddles": sum(body.saddles for body in bodies),
-        "wedges": sum(body.wedges for body in bodies),
-        "merged_steps": sum(body.merged_steps for body in bodies),
-        "largest_shift": max((body.largest_shift for body in bodies), default=0.0),
-        "fit_error": max((body.fit_error for body in bodies), default=0.0),
-        "rim_error": max((body.rim_error for body in bodies), default=0.0),
-        "bodies": [asdict(body) for body in bodies],
+        "solids": sum(body["solids"] for body in bodies),
+        "faces": sum(sum(body["faces"].values()) for body in bodies),
+        **{name: sum(body[name] for body in bodies) for name in _SUMS},
+        **{name: max((body[name] for body in bodies), default=0.0) for name in _WORST},
+        "bodies": bodies,
     }
 
 
-def _facts(name: str, solids: int, counts: ShellCounts, parts: Sequence[Layer]) -> StepBodyFacts:
+def _facts(name: str, solids: int, counts: ShellCounts, parts: Sequence[Layer]) -> dict[str, Any]:
+    """Facts written of one body; solids and faces counted as placed."""
     faces = [face for part in parts for face in part.cell.faces]
-    fit = max((face.lens.error for face in faces if face.lens is not None), default=0.0)
-    rim = max((face.rim_error for face in faces), default=0.0)
-    return StepBodyFacts(
-        name,
-        solids,
-        dict(sorted(counts.faces.items())),
-        counts.saddles,
-        counts.wedges,
-        counts.merged_steps,
-        counts.largest_shift,
-        fit,
-        rim,
-    )
+    return {
+        "name": name,
+        "solids": solids,
+        "faces": dict(sorted(counts.faces.items())),
+        **{fact: getattr(counts, fact) for fact in (*_SUMS, "largest_shift")},
+        "fit_error": max((face.lens.error for face in faces if face.lens is not None), default=0.0),
+        "rim_error": max((face.rim_error for face in faces), default=0.0),
+    }
 
 
 # -- fused ------------------------------------------------------------------------------------------
@@ -276,7 +258,7 @@ _SHEET: dict[str, Callable[[Window, Part21, bool, float], _Sheet]] = {
 
 def _instanced_body(
     window: Window, body: Body, part: Part21, pcurves: bool, merge: float, colour: StepColour
-) -> tuple[StepBodyFacts, Part, list[int]]:
+) -> tuple[dict[str, Any], Part, list[int]]:
     """One body as an assembly: rows of cells, and the surrounding land as a separate part.
 
     A slab whose arrays are displaced has no common cell. It is cut at a plane half way into cells of the
@@ -315,9 +297,8 @@ def _instanced_body(
 def _add_counts(total: ShellCounts, counts: ShellCounts, times: int) -> None:
     for role, number in counts.faces.items():
         total.faces[role] += number * times
-    total.saddles += counts.saddles * times
-    total.wedges += counts.wedges * times
-    total.merged_steps += counts.merged_steps * times
+    for fact in _SUMS:
+        setattr(total, fact, getattr(total, fact) + getattr(counts, fact) * times)
     total.largest_shift = max(total.largest_shift, counts.largest_shift)
 
 

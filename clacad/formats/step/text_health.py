@@ -31,37 +31,6 @@ _STATEMENT = re.compile(r"((?:'[^']*+'|[^';]++)*+);")
 _ENTITY = re.compile(r"\s*#(\d+)\s*=\s*\(?\s*([A-Z0-9_]+)")
 _REFERENCE = re.compile(r"#(\d+)")
 _STRING = re.compile(r"'((?:[^']|'')*)'")
-GEOMETRY = frozenset(
-    (
-        "CARTESIAN_POINT",
-        "ORIENTED_EDGE",
-        "EDGE_CURVE",
-        "EDGE_LOOP",
-        "VERTEX_POINT",
-        "FACE_BOUND",
-        "FACE_OUTER_BOUND",
-        "ADVANCED_FACE",
-        "LINE",
-        "VECTOR",
-        "PLANE",
-        "B_SPLINE_CURVE_WITH_KNOTS",
-        "BOUNDED_CURVE",
-        "PCURVE",
-        "SURFACE_CURVE",
-        "DEFINITIONAL_REPRESENTATION",
-        "SEAM_CURVE",
-        "CIRCLE",
-        "AXIS2_PLACEMENT_2D",
-        "BOUNDED_SURFACE",
-        "B_SPLINE_SURFACE_WITH_KNOTS",
-        "STYLED_ITEM",
-        "OVER_RIDING_STYLED_ITEM",
-        "COLOUR_RGB",
-        "CLOSED_SHELL",
-        "OPEN_SHELL",
-    )
-)
-"""Frequent entities that no assembly consists of."""
 PATCHES = ("BOUNDED_SURFACE", "B_SPLINE_SURFACE_WITH_KNOTS", "B_SPLINE_SURFACE", "RATIONAL_B_SPLINE_SURFACE")
 BOUNDS = ("FACE_BOUND", "FACE_OUTER_BOUND")
 FREQUENT = (
@@ -83,6 +52,20 @@ FREQUENT = (
     "STYLED_ITEM",
 )
 """Types that a large file has many of, of which little is kept; points are the first."""
+GEOMETRY = frozenset(
+    (
+        *FREQUENT,
+        *SHELLS,
+        "PLANE",
+        "BOUNDED_CURVE",
+        "AXIS2_PLACEMENT_2D",
+        "BOUNDED_SURFACE",
+        "B_SPLINE_SURFACE_WITH_KNOTS",
+        "OVER_RIDING_STYLED_ITEM",
+        "COLOUR_RGB",
+    )
+)
+"""Frequent entities that no assembly consists of."""
 LARGE = 8_000_000
 """Bytes from which a file's frequent entities are read by compiled code."""
 _CHUNK = 1 << 22
