@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
+
+import numpy as np
 
 import clacad
 from clacad.sheet.pieces_and_holes import BorderJoint, count_pieces_and_holes, count_together
-from clacad.sheet.window import Window
-from clacad.topology.complex_parts import CellComplex
+from clacad.sheet.window import Window, column
+from clacad.topology.complex_parts import Border, CellComplex
 
 PAIR = ("thickness", "web", "confocal", "curved", "surface", "conic")
 LATTICE = ("seam", "outline", "aperture")
@@ -38,6 +41,21 @@ def window(
     return clacad.prescribe(clacad.Design.from_dict(design))
 
 
+def joints_of(cells: CellComplex, border: Border) -> list[tuple[float, float]]:
+    """Stretches of a border on which both columns share material, by their heights between its breaks."""
+    a, b = np.array(border.start), np.array(border.end)
+    found: list[tuple[float, float]] = []
+    for start, stop in pairwise([0.0, *border.breaks.tolist(), 1.0]):
+        at = a + 0.5 * (start + stop) * (b - a)
+        beside = at - np.array(cells.window.lattice.offset(*border.step))
+        (front_l, back_l), (front_r, back_r) = (
+            column(cells.window, cells.body, *p[:, None]) for p in (at, beside)
+        )
+        if np.minimum(back_l, back_r) - np.maximum(front_l, front_r) > 0.0:
+            found.append((found.pop()[0] if found and found[-1][1] == start else start, stop))
+    return found
+
+
 def pieces_and_holes(cells: CellComplex) -> tuple[int, int]:
     """What a body falls into where columns that only touch in a line are apart, by Euler's formula on its complex."""
     lattice, flats = cells.window.lattice, [
@@ -46,9 +64,16 @@ def pieces_and_holes(cells: CellComplex) -> tuple[int, int]:
     if len(cells.tilings) == 2 or (None not in flats and flats[0] < flats[1]):
         return 1, 0
     (tiling,) = cells.tilings
-    joints = [(border.step, border.joints) for border in tiling.borders]
+    joints = [(border.step, joints_of(cells, border)) for border in tiling.borders]
     glued = sum(len(on) * count_together(lattice, [(0, 0), step]) for step, on in joints)
-    filled = [[step for step, _ in node.cells] for node in tiling.nodes if node.joined]
+    around = [
+        column(cells.window, cells.body, *tiling.tile[[c for _, c in node.cells]].T) for node in tiling.nodes
+    ]
+    filled = [
+        [step for step, _ in node.cells]
+        for node, (front, back) in zip(tiling.nodes, around)
+        if back.min() > front.max()
+    ]
     euler = lattice.cell_count - glued + sum(count_together(lattice, around) for around in filled)
     ends = [bool(on) and (on[0][0] == 0.0, on[-1][1] == 1.0) for _, on in joints]
     found = [BorderJoint(step, len(on), end or (False, False)) for (step, on), end in zip(joints, ends)]

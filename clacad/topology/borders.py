@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from clacad.base.arrays import distinct
 from clacad.base.sign_changes import sign_changes
 from clacad.base.types import Bools, Floats
 from clacad.sheet.window import PLANE, Body, Face, Window
-from clacad.topology.complex_parts import SIDES, Border, HeightProfile, Part, Side, Stretch
+from clacad.topology.complex_parts import SIDES, Border, HeightProfile, Side
 
 _EPS = float(np.finfo(np.float64).eps)
 _SAMPLES = 47  # number of Gauss nodes on a stretch; odd, so that one lies in its middle
@@ -92,11 +93,8 @@ def make_border(
     a, b = np.array(left.front.start), np.array(left.front.end)
     roots = _roots(left, right, sides, columnar)
     breaks = _spaced(roots, spacing / float(np.hypot(*(b - a))))
-    on = _stretches(left, right, breaks)
-    steps = {side: _step(on, SIDES.index(side), merge) for side in sides}
-    joints = _joints(on) if columnar else None
-    kept = _kept_breaks(steps, joints, breaks)
-    return Border(k, window.lattice.steps[k], tuple(a), tuple(b), steps, joints, kept, roots)
+    visible = _visible(left, right, breaks, [SIDES.index(side) for side in sides], columnar, merge)
+    return Border(window.lattice.steps[k], tuple(a), tuple(b), visible, roots)
 
 
 def roots_between(window: Window, bodies: tuple[Body, Body], array: int, columnar: bool, k: int) -> Floats:
@@ -218,92 +216,43 @@ def _spaced(t: Floats, spacing: float) -> Floats:
     return np.asarray(kept)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Stretches:
-    """Both columns on the stretches between the breaks of a border, evaluated once.
+def _visible(
+    left: ColumnLine, right: ColumnLine, breaks: Floats, faces: list[int], columnar: bool, merge: float
+) -> Floats:
+    """Breaks at which something visible changes: not, for example, crossings hidden under land.
 
-    edges : (k + 1,)
-    left, right : (2, k, n) heights at parameters inside, the first and the last just inside
-    left_lens, right_lens : (2, k) whether lens in the middle
+    faces : Those that repeat on the tiling, 0 front, 1 back.
     """
-
-    edges: Floats
-    left: Floats
-    right: Floats
-    left_lens: Bools
-    right_lens: Bools
-
-
-def _stretches(left: ColumnLine, right: ColumnLine, breaks: Floats) -> _Stretches:
     edges = np.concatenate([[0.0], breaks, [1.0]])
     nodes, _ = np.polynomial.legendre.leggauss(_SAMPLES)
     # limits from within at the ends: at a rim without a web the height itself may jump
     u = np.concatenate([[1e-12], 0.5 * (nodes + 1.0), [1.0 - 1e-12]])
-    t = edges[:-1, None] + np.diff(edges)[:, None] * u
-    (z_l, lens_l), (z_r, lens_r) = left.evaluate(t.ravel()), right.evaluate(t.ravel())
-    shape = (2, *t.shape)
-    middle = len(u) // 2
-    return _Stretches(
-        edges,
-        z_l.reshape(shape),
-        z_r.reshape(shape),
-        lens_l.reshape(shape)[..., middle],
-        lens_r.reshape(shape)[..., middle],
+    t, middle = edges[:-1, None] + np.diff(edges)[:, None] * u, len(u) // 2
+    (z_l, lens_l), (z_r, lens_r) = (
+        [found.reshape(2, *t.shape) for found in line.evaluate(t.ravel())] for line in (left, right)
     )
+    changes = np.zeros(len(breaks), dtype=bool)
+    if columnar:
+        (front_l, back_l), (front_r, back_r) = z_l[..., middle], z_r[..., middle]
+        with np.errstate(invalid="ignore"):
+            shared = np.minimum(back_l, back_r) - np.maximum(front_l, front_r) > 0.0
+        changes |= shared[1:] != shared[:-1]
+    for face in faces:
+        seen = []
+        for n in range(len(t)):
+            pairs = (z_l[face, n], lens_l[face, n, middle]), (z_r[face, n], lens_r[face, n, middle])
+            kinds = ["lens" if lens else "void" if np.isnan(z[middle]) else "land" for z, lens in pairs]
+            seen.append((_sign(z_l[face, n] - z_r[face, n], "void" in kinds, merge), *kinds))
+        changes |= np.array([one != other for one, other in pairwise(seen)], dtype=bool)
+    return breaks[changes]
 
 
-def _step(on: _Stretches, face: int, merge: float) -> tuple[Stretch, ...]:
-    """Sign of the step between left and right heights of a face (0 front, 1 back) along a border, 0 to 1."""
-    found: list[Stretch] = []
-    for n, (start, stop) in enumerate(zip(on.edges[:-1].tolist(), on.edges[1:].tolist())):
-        left, right = (
-            _part(z[face, n], bool(lens[face, n]))
-            for z, lens in ((on.left, on.left_lens), (on.right, on.right_lens))
-        )
-        d = on.left[face, n] - on.right[face, n]
-        sign = 0
-        if "void" not in (left, right) and not np.isnan(d[1:-1]).all():
-            inner = d[1:-1]
-            merged = float(np.abs(d[np.isfinite(d)]).max()) <= merge
-            sign = 0 if merged else int(np.sign(inner[np.nanargmax(np.abs(inner))]))
-        last = found[-1] if found else None
-        if last and (last.sign, last.left, last.right) == (
-            sign,
-            left,
-            right,
-        ):  # nothing changes for this face
-            start = found.pop().start
-        found.append(Stretch(start, stop, sign, left, right))
-    return tuple(found)
-
-
-def _part(z: Floats, lens: bool) -> Part:
-    return "lens" if lens else "void" if np.isnan(z[len(z) // 2]) else "land"
-
-
-def _joints(on: _Stretches) -> tuple[tuple[float, float], ...]:
-    """Where the two columns share material, as intervals of the border's parameter."""
-    middle = on.left.shape[-1] // 2
-    (front_l, back_l), (front_r, back_r) = on.left[..., middle], on.right[..., middle]
-    edges = on.edges.tolist()
-    with np.errstate(invalid="ignore"):
-        shared = np.minimum(back_l, back_r) - np.maximum(front_l, front_r) > 0.0
-    intervals: list[tuple[float, float]] = []
-    for start, stop, yes in zip(edges[:-1], edges[1:], shared):
-        if yes and intervals and intervals[-1][1] == start:
-            intervals[-1] = (intervals[-1][0], float(stop))
-        elif yes:
-            intervals.append((float(start), float(stop)))
-    return tuple(intervals)
-
-
-def _kept_breaks(
-    steps: dict[Side, tuple[Stretch, ...]], joints: tuple[tuple[float, float], ...] | None, breaks: Floats
-) -> Floats:
-    """Drop the breaks at which nothing visible changes (for example crossings hidden under land)."""
-    kept = {t for step in steps.values() for stretch in step for t in (stretch.start, stretch.stop)}
-    kept |= {t for interval in joints or () for t in interval}
-    return np.asarray([t for t in breaks if float(t) in kept])
+def _sign(d: Floats, void: bool, merge: float) -> int:
+    """Sign of a step d (n,) on a stretch without breaks, 0 where it never exceeds the merge height."""
+    inner = d[1:-1]
+    if void or np.isnan(inner).all() or float(np.abs(d[np.isfinite(d)]).max()) <= merge:
+        return 0
+    return int(np.sign(inner[np.nanargmax(np.abs(inner))]))
 
 
 def _above_land(profile: HeightProfile, t: Floats) -> Floats:

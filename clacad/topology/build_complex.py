@@ -44,10 +44,9 @@ def make_nodes(
             line = column_line(body, (x, y), (x, y), zone)
             front, back = line.heights(np.zeros(1))
             heights[:, n] = front[0], back[0]
-        joined = bool(np.isfinite(heights).all() and heights[1].min() > heights[0].max())
         raw = [heights[f] if name in faces else np.full(len(cells), np.nan) for f, name in enumerate(SIDES)]
         front, back = cluster(np.concatenate(raw), merge).reshape(2, -1)
-        nodes.append(Node(cells, _saddle(front, proud=-1), _saddle(back, proud=1), joined))
+        nodes.append(Node(cells, _saddle(front, proud=-1), _saddle(back, proud=1)))
     return tuple(nodes)
 
 

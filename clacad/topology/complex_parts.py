@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 
 Side = Literal["front", "back"]
 SIDES: tuple[Side, Side] = ("front", "back")
-Part = Literal["lens", "land", "void"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,48 +65,22 @@ class HeightProfile:
         return lens_height(self.face, xy[..., 0], xy[..., 1])
 
 
-@dataclass(frozen=True, slots=True)
-class Stretch:
-    """A stretch of a border on which nothing changes for one face.
-
-    start, stop : Parameters on the border, 0 … 1.
-    sign : −1, 0 or +1. Sign of d = z_left − z_right. 0 where a side is void or the step never exceeds the
-        merge height: the cells then share ONE edge and have no wall.
-    left, right : "lens", "land" or "void"
-        Kind of the face, left and right of the border. Both void: no edge at all.
-    """
-
-    start: float
-    stop: float
-    sign: int
-    left: Part
-    right: Part
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Border:
     """One class of congruent borders.
 
-    index : k, 0 … m/2 − 1
     step : (di, dj). Index step from the left to the right cell.
     start, end : (2,) lengths. In the left cell's frame (t = 0, 1).
-    steps : Stretches of each face that repeats on this tiling, with the sign of the step, from 0 to 1 without
-        gaps.
-    joints : ((t0, t1), ...) or None. Stretches on which the two columns share material. None where the body's
-        two faces repeat on different tilings (always joined).
     breaks : (n,) parameters
-        Every parameter at which anything on the border changes (crossings of fronts and of backs,
-        rims of either cell, ends of joints), ascending, ends excluded. Both cells need a vertex there.
+        Every parameter at which anything on the border changes (crossings of fronts and of backs, rims of
+        either cell, ends of shared material), ascending, ends excluded. Both cells need a vertex there.
     roots : (n,) parameters. Every sign change of every difference of lens and land heights on the border,
         visible or not (for example a crossing hidden under land), unspaced; `breaks` is chosen from them.
     """
 
-    index: int
     step: tuple[int, int]
     start: tuple[float, float]
     end: tuple[float, float]
-    steps: dict[Side, tuple[Stretch, ...]]
-    joints: tuple[tuple[float, float], ...] | None
     breaks: Floats
     roots: Floats
 
@@ -120,14 +93,11 @@ class Node:
         which of its tile's corners lies at the node. The first entry is ((0, 0), corner).
     saddle_front, saddle_back : bool
         Four walls share one vertical edge: one diagonal pair of cells is higher than the other.
-    joined : All k columns share material at the node (false: a pinhole, columns that touch in a line, or no
-        common height).
     """
 
     cells: NodeCells
     saddle_front: bool
     saddle_back: bool
-    joined: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)

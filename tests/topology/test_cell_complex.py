@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import pairwise
 
 import mpmath
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from meshwindows import FORMS, pieces_and_holes, window
+from meshwindows import FORMS, joints_of, pieces_and_holes, window
 
 from clacad.base.sign_changes import sign_changes
 from clacad.mesh import mesh_body
@@ -79,9 +80,16 @@ def _height(face, x, y):
     return face.vertex[2] + min(both, key=abs)
 
 
-def crossings(stretches):
-    """Where the sign of a step changes from one stretch to the next."""
-    return [a.stop for a, b in zip(stretches[:-1], stretches[1:]) if a.sign * b.sign < 0]
+def steps_of(cells, border):
+    """Left minus right height of front and back, (2, n) each, on every stretch between breaks of a border."""
+    a, b = np.array(border.start), np.array(border.end)
+    for start, stop in pairwise([0.0, *border.breaks.tolist(), 1.0]):
+        t = start + (stop - start) * np.linspace(0.01, 0.99, 23)
+        left = a + t[:, None] * (b - a)
+        right = left - np.array(cells.window.lattice.offset(*border.step))
+        yield np.array(column(cells.window, cells.body, *left.T)) - np.array(
+            column(cells.window, cells.body, *right.T)
+        )
 
 
 def _apart(border, offset, face, t):
@@ -98,20 +106,21 @@ def test_crossings_are_those_of_the_surfaces_in_40_digits(euler):
     borders = cell_complex(sheet, body, merge=1e-12).tilings[0].borders
     with mpmath.workdps(40):
         for border in borders:
-            for side, face in (("front", body.front), ("back", body.back)):
+            every = []
+            for face in (body.front, body.back):
                 apart = partial(_apart, border, sheet.lattice.offset(*border.step), face)
                 samples = [mpmath.mpf(n) / 60 + mpmath.mpf("1e-7") for n in range(60)]
                 signs = [mpmath.sign(apart(t)) for t in samples]
-                expected = [
-                    mpmath.findroot(apart, (a, b), solver="anderson", tol=1e-45)
+                every += [
+                    (mpmath.findroot(apart, (a, b), solver="anderson", tol=1e-45), apart)
                     for a, b, sa, sb in zip(samples[:-1], samples[1:], signs[:-1], signs[1:])
                     if sa != sb
                 ]
-                given = crossings(border.steps[side])
-                assert len(given) == len(expected)
-                for found, exact in zip(given, expected):
-                    slope = abs(float(mpmath.diff(apart, exact)))
-                    assert abs(found - float(exact)) <= 1e-15 + 2e-16 * 0.05 * 16 / slope
+            assert len(border.breaks) == len({round(float(exact), 12) for exact, _ in every})
+            for exact, apart in every:
+                slope = abs(float(mpmath.diff(apart, exact)))
+                near = min(abs(found - float(exact)) for found in border.breaks.tolist())
+                assert near <= 1e-15 + 2e-16 * 0.05 * 16 / slope
 
 
 # -- borders and nodes -------------------------------------------------------------------------------
@@ -129,38 +138,30 @@ def test_the_corners_named_at_a_node_coincide_and_go_round_once(kind):
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_stretches_cover_a_border_without_gaps_and_break_where_it_breaks(name):
+def test_breaks_of_a_border_rise_and_are_among_its_roots(name):
     sheet = window(**FORMS[name])
     for body in sheet.bodies:
         for tiling in cell_complex(sheet, body).tilings:
             for border in tiling.borders:
-                for step in border.steps.values():
-                    assert [step[0].start, *(s.stop for s in step)] == [*(s.start for s in step), 1.0]
-                    assert {s.start for s in step[1:]} <= set(border.breaks.tolist())
+                assert (np.diff([0.0, *border.breaks, 1.0]) > 0.0).all()
                 assert set(border.breaks.tolist()) <= set(border.roots.tolist())
 
 
 @pytest.mark.parametrize(
     "name", ["tilted about both axes, offset", "saddle at every corner", "turned web", "hexagonal"]
 )
-def test_stretches_state_the_sign_of_the_step(name):
+def test_no_step_changes_its_sign_between_breaks(name):
     sheet = window(**FORMS[name])
     for body in sheet.bodies:
         cells = cell_complex(sheet, body)
         for border in cells.tilings[0].borders:
-            a, b = np.array(border.start), np.array(border.end)
-            for at, side in enumerate(("front", "back")):
-                for part in border.steps[side]:
-                    t = part.start + (part.stop - part.start) * np.linspace(0.01, 0.99, 23)
-                    left = a + t[:, None] * (b - a)
-                    right = left - np.array(sheet.lattice.offset(*border.step))
-                    d = column(sheet, body, *left.T)[at] - column(sheet, body, *right.T)[at]
-                    if "void" in (part.left, part.right):
-                        assert np.isnan(d).all()
-                    else:
-                        assert (
-                            (np.sign(d) == part.sign).all() if part.sign else (np.abs(d) <= cells.merge).all()
-                        )
+            for step in steps_of(cells, border):
+                for d in step:
+                    assert (
+                        np.isnan(d).all()
+                        or (np.abs(d) <= cells.merge).all()
+                        or abs(np.sign(d).sum()) == len(d)
+                    )
 
 
 def test_flat_equal_neighbours_share_every_border():
@@ -168,7 +169,7 @@ def test_flat_equal_neighbours_share_every_border():
     for body in sheet.bodies:
         for border in cell_complex(sheet, body).tilings[0].borders:
             assert len(border.breaks) == 0
-            assert all(part.sign == 0 for step in border.steps.values() for part in step)
+            assert all((np.abs(d) <= 1e-6).all() for d in steps_of(cell_complex(sheet, body), border))
 
 
 def test_turning_an_anamorphic_lens_makes_every_inner_corner_a_saddle():
@@ -176,8 +177,9 @@ def test_turning_an_anamorphic_lens_makes_every_inner_corner_a_saddle():
     cells = cell_complex(sheet, sheet.bodies[0])
     assert saddle_count(cells) == 2 * 6 * 4
     for border in cells.tilings[0].borders:
-        for step in border.steps.values():
-            np.testing.assert_allclose(crossings(step), [0.5], atol=1e-12)
+        np.testing.assert_allclose(border.breaks, [0.5], atol=1e-12)
+        before, after = (np.sign(step) for step in steps_of(cells, border))
+        assert (before == -after).all()
 
 
 def test_hexagons_have_no_saddles():
@@ -342,8 +344,8 @@ def test_rims_lie_on_both_surfaces_and_end_where_the_joint_ends():
     body = sheet.bodies[1]
     curves, gap = traced_rim(sheet, body)
     assert len(curves) == 2
-    border = cell_complex(sheet, body).tilings[0].borders[1]
-    ((start, stop),) = border.joints
+    cells = cell_complex(sheet, body)
+    ((start, stop),) = joints_of(cells, cells.tilings[0].borders[1])
     ends = np.array([curve.points[n] for curve in curves for n in (0, -1)])
     np.testing.assert_allclose(np.abs(ends[:, 1]), 0.0025, rtol=0, atol=1e-18)
     np.testing.assert_allclose(np.sort(0.5 - ends[:, 0] / 0.005), [start, start, stop, stop], atol=1e-9)
