@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import ipaddress
 import os
 import signal
@@ -14,6 +15,8 @@ from typing import Any
 
 import pytest
 from hypothesis import settings
+
+gc.disable()  # until all tests are collected
 
 # the same examples every time: a failure can be repeated, a success means the same everywhere
 settings.register_profile("clacad", derandomize=True, deadline=None)
@@ -28,7 +31,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 COMPILED = ("tracing", "effects", "hard", "verification", "rendering", "report", "compat")
+SOURCES = "tests of the package's sources"
 CLOSED_FORM = (
+    SOURCES,
     "base",
     "optics",
     "sheet",
@@ -36,9 +41,19 @@ CLOSED_FORM = (
     "design",
     "scene",
     "explain",
+)
+OF_SOURCES = (
+    "cli/test_registry.py",
+    "design/test_keys.py",
+    "effects/test_registry.py",
+    "exporting/test_format_registry.py",
+    "test_house.py",
+    "test_language.py",
     "test_layers.py",
     "test_package.py",
+    "verification/test_check_kinds.py",
 )
+"""Tests that parse the whole package: one worker runs them all."""
 
 
 def mark_by_case(item: pytest.Item, case: str) -> None:
@@ -84,7 +99,14 @@ def in_order(items: list[pytest.Item], room: Callable[[pytest.Item], str]) -> li
     others = [item for item in ranked if room(item) not in CLOSED_FORM]
     middle = min(len(items) // 2, len(others))
     closed = [item for item in ranked if room(item) in CLOSED_FORM]
+    closed.sort(key=lambda item: room(item) != SOURCES)
     return [*others[:middle], *closed, *others[middle:]]
+
+
+def room_of(item: pytest.Item) -> str:
+    """First part of the path of a test; those that parse the whole package are one room."""
+    path = item.path.relative_to(Path(__file__).parent)
+    return SOURCES if path.as_posix() in OF_SOURCES else path.parts[0]
 
 
 class Order:
@@ -92,12 +114,17 @@ class Order:
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        tests = Path(__file__).parent
-        items[:] = in_order(items, lambda item: item.path.relative_to(tests).parts[0])
+        items[:] = in_order(items, room_of)
 
 
 def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(Order())
+
+
+def pytest_collection_finish() -> None:
+    """Collect garbage from here on, never among modules and tests that stay: a third of the time of collection."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)

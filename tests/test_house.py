@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from benchmarks.house import measured
+from package_source import syntax
 
 MOST = {
     "modules": 516,
@@ -27,7 +28,7 @@ MOST = {
 
 @pytest.fixture(scope="module")
 def figures() -> dict[str, str]:
-    return measured(Path(__file__).parents[1])
+    return measured(Path(__file__).parents[1], syntax)
 
 
 @pytest.mark.parametrize("row", MOST)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from package_source import syntax
+from package_source import messages
 from plain_words import ADDRESSED, ANY, LEFT_OUT
 
 TESTS = Path(__file__).parent
@@ -50,13 +50,10 @@ def in_messages(path: Path) -> list[str]:
     """Places of left-out words in texts of several words that are no docstrings."""
     if not ANY.search(path.read_text(encoding="utf-8")):
         return []
-    tree = syntax(path)
-    docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     return [
         f"{path.relative_to(PACKAGE)}:{node.lineno}: {match[0]!r}: write {instead}"
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value
-        if id(node) not in docstrings and ANY.search(node.value)
+        for node in messages(path)
+        if " " in node.value and ANY.search(node.value)
         for pattern, instead in LEFT_OUT.items()
         for match in re.finditer(rf"\b(?:{pattern})\b", node.value, re.IGNORECASE)
         if not re.fullmatch(ADDRESSED, match[0], re.IGNORECASE)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from benchmarks.house import rings
-from package_source import syntax
+from package_source import nodes, syntax
 
 PACKAGE = Path(__file__).parents[1] / "clacad"
 
@@ -80,9 +80,8 @@ def in_rooms(*rooms: str) -> dict[str, Path]:
 @cache
 def imports(name: str, head_only: bool = False) -> frozenset[str]:
     """Files that a file imports, anywhere (for type checkers too) or at its head."""
-    tree = syntax(files()[name])
     found: set[str] = set()
-    for node in tree.body if head_only else ast.walk(tree):
+    for node in syntax(files()[name]).body if head_only else nodes(files()[name]):
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "clacad":
             for alias in node.names:
                 found |= {file_of(f"{node.module}.{alias.name}") or file_of(node.module or "")}
@@ -168,8 +167,7 @@ def mathematics() -> list[str]:
 def test_mathematics_knows_numpy_and_the_standard_library_only():
     heavy = {"scipy", "numba", "OCP", "build123d", "matplotlib", "trimesh", "manifold3d", "pydantic"}
     for name in mathematics():
-        tree = syntax(files()[name])
-        for node in ast.walk(tree):
+        for node in nodes(files()[name]):
             if isinstance(node, (ast.Import, ast.ImportFrom)):
                 names = [a.name for a in node.names] if isinstance(node, ast.Import) else [node.module or ""]
                 assert not heavy & {n.split(".")[0] for n in names}, name
@@ -198,7 +196,7 @@ def test_intent_is_read_once():
     for name, path in files().items():
         if name.startswith(free) and not name.startswith(bound):
             continue
-        for node in ast.walk(syntax(path)):
+        for node in nodes(path):
             if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
                 if isinstance(node.value, ast.Name) and node.value.id == "LAW":
                     continue  # LAW.eta is the path of a key, not its value

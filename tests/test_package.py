@@ -13,7 +13,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from package_source import syntax
+from package_source import nodes
 from public_api import public_api
 
 import clacad
@@ -119,7 +119,7 @@ def documented(text: str) -> set[str]:
 def test_what_a_class_documents_it_has():
     """A docstring that lists what is no field, property or argument sends its reader after nothing."""
     for path in sorted((Path(__file__).parents[1] / "clacad").rglob("*.py")):
-        for node in ast.walk(syntax(path)):
+        for node in nodes(path):
             if not isinstance(node, ast.ClassDef):
                 continue
             inner = list(ast.walk(node))

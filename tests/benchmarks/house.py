@@ -16,6 +16,7 @@ import re
 import statistics
 import sys
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -52,13 +53,15 @@ WHY = {
 """What is not as wanted: why."""
 
 
-def modules(root: Path) -> dict[str, ast.Module]:
+def parsed(path: Path) -> ast.Module:
+    """Syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def modules(root: Path, syntax: Callable[[Path], ast.Module] = parsed) -> dict[str, ast.Module]:
     """Path inside the package → its syntax."""
     package = root / "clacad"
-    return {
-        path.relative_to(package).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
-        for path in sorted(package.rglob("*.py"))
-    }
+    return {path.relative_to(package).as_posix(): syntax(path) for path in sorted(package.rglob("*.py"))}
 
 
 def imported(trees: dict[str, ast.Module], head_only: bool = False) -> dict[str, set[str]]:
@@ -204,9 +207,9 @@ def public(tree: ast.Module, name: str) -> list[ast.AST]:
     return found
 
 
-def measured(root: Path) -> dict[str, str]:
+def measured(root: Path, syntax: Callable[[Path], ast.Module] = parsed) -> dict[str, str]:
     """All rows of a tree."""
-    trees = modules(root)
+    trees = modules(root, syntax)
     edges = imported(trees)
     lines = {n: len((root / "clacad" / n).read_text(encoding="utf-8").splitlines()) for n in trees}
     functions = [(n, f) for n, t in trees.items() for f in ast.walk(t) if isinstance(f, ast.FunctionDef)]

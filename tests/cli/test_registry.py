@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 import sys
 from collections.abc import Iterator
@@ -10,7 +9,7 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import pytest
-from package_source import syntax
+from package_source import literals
 
 import clacad.cli
 from clacad.cli import main
@@ -60,12 +59,6 @@ def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(clacad.cli, "__path__", [*clacad.cli.__path__, str(tmp_path)])
     yield
     sys.modules.pop("clacad.cli.toy_command", None)
-
-
-def literals(path: Path) -> set[str]:
-    """Strings of a module."""
-    nodes = ast.walk(syntax(path))
-    return {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
 
 
 @pytest.mark.parametrize("word", KNOWN)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import ast
 from collections import Counter, defaultdict
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
-from package_source import syntax
+from package_source import messages, nodes
 
 from clacad.config.keys import KeyPaths, key, keys_of
 from clacad.config.quantities import Quantity
@@ -130,16 +131,12 @@ def test_the_schema_of_scenes_states_meanings_and_defaults_as_that_of_designs():
 # --- literals -----------------------------------------------------------------------------------------------
 
 
+@cache
 def literals() -> dict[str, Counter[str]]:
     """Module → the texts of its syntax tree, docstrings left out, with their number."""
     found = {}
     for path in PACKAGE.rglob("*.py"):
-        tree = syntax(path)
-        docstrings = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
-        texts = (n for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str))
-        found[path.relative_to(PACKAGE).as_posix()] = Counter(
-            n.value for n in texts if id(n) not in docstrings
-        )
+        found[path.relative_to(PACKAGE).as_posix()] = Counter(node.value for node in messages(path))
     return found
 
 
@@ -192,7 +189,7 @@ def test_a_name_of_a_key_occurs_in_one_module():
 def test_paths_named_in_the_package_are_keys():
     """`PAIR.sepration` would fail only where it is reached: here every such name is looked up."""
     for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(syntax(path)):
+        for node in nodes(path):
             if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
                 section = node.value.id.lower()
                 if node.value.id.isupper() and section in SECTIONS:

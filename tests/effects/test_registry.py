@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import ast
 from pathlib import Path
 
 import numpy as np
 import pytest
-from package_source import syntax
+from package_source import literals
 
 import clacad
 from clacad import effects as registry
@@ -58,12 +57,6 @@ def sunglasses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setattr(clacad.effects, "__path__", [*clacad.effects.__path__, str(tmp_path)])
     monkeypatch.setattr(registry, "NAMES", (*NAMES, "sunglasses"))
     return "sunglasses"
-
-
-def literals(path: Path) -> set[str]:
-    """Strings in a module that are one word."""
-    nodes = ast.walk(syntax(path))
-    return {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
 
 
 @pytest.mark.daily_cases("depth_of_field", "polarisation", "tir_paths")

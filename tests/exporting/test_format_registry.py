@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from package_source import syntax
+from package_source import literals
 
 import clacad
 from clacad.exporting.formats import registry
@@ -121,12 +120,6 @@ registry.MODULES = (*registry.MODULES, "dots")
 from clacad.cli import main
 sys.exit(main(sys.argv[2:]))
 """
-
-
-def literals(path: Path) -> set[str]:
-    """Strings in a module that are one word."""
-    nodes = ast.walk(syntax(path))
-    return {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from package_source import syntax
+from package_source import literals, nodes
 
 from clacad.advice import advise, judge
 from clacad.advice.lever_trials import levers_of
@@ -87,12 +87,12 @@ def declaring() -> set[str]:
     return {f"{family.removeprefix('clacad.').replace('.', '/')}.py" for family in checks.FAMILIES}
 
 
-def parsed() -> Iterator[tuple[str, ast.Module]]:
+def modules() -> Iterator[tuple[str, Path]]:
     """Every module of the package outside the declarations."""
     for path in sorted(PACKAGE.rglob("*.py")):
         name = path.relative_to(PACKAGE).as_posix()
         if name not in declaring():
-            yield name, syntax(path)
+            yield name, path
 
 
 def words(tree: ast.AST) -> set[str]:
@@ -104,9 +104,9 @@ def words(tree: ast.AST) -> set[str]:
     } & set(kinds())
 
 
-def uses_of_ids(tree: ast.AST) -> Iterator[ast.AST]:
+def uses_of_ids(path: Path) -> Iterator[ast.AST]:
     """Places where a string can only be the id of a check: next to `.id`, and as the first argument of `Check`."""
-    for node in ast.walk(tree):
+    for node in nodes(path):
         if isinstance(node, ast.Compare):
             sides = [node.left, *node.comparators]
             if any(isinstance(side, ast.Attribute) and side.attr == "id" for side in sides):
@@ -116,21 +116,21 @@ def uses_of_ids(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 def test_the_word_of_a_check_occurs_in_the_module_that_declares_it():
-    found = {(name, word) for name, tree in parsed() for word in words(tree) - NOUNS}
+    found = {(name, word) for name, path in modules() for word in literals(path) & set(kinds()) - NOUNS}
     assert {(name, word) for name, word in found if name not in ELSEWHERE} == set()
     assert set(ELSEWHERE) - {name for name, _ in found} == set(), "exceptions that nothing needs"
 
 
 def test_nothing_asks_for_a_check_by_its_word():
-    assert [(name, word) for name, tree in parsed() for use in uses_of_ids(tree) for word in words(use)] == []
+    assert [
+        (name, word) for name, path in modules() for use in uses_of_ids(path) for word in words(use)
+    ] == []
 
 
 def test_no_code_of_a_check_occurs_outside_its_declaration():
     codes = {kind.code for kind in kinds().values()}
-    texts = {
-        name: {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)} for name, tree in parsed()
-    }
-    assert {name: found & codes for name, found in texts.items() if found & codes} == {}
+    found = {name: literals(path) & codes for name, path in modules()}
+    assert {name: some for name, some in found.items() if some} == {}
 
 
 def test_ids_and_codes_are_unique_and_limits_are_keys_of_the_design():
