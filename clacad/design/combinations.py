@@ -177,7 +177,6 @@ _TWICE: Final = (
         ETAS,
         "its lenses are one figure in many sizes, the same along both axes",
     ),
-    ("field lens", ETAS, "both state where the light of a point meets between the lenses"),
 )
 """Two features that exclude one another, and the reason."""
 

@@ -28,8 +28,9 @@ border at two heights. η may therefore change from cell to cell by `STEP` at mo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -37,13 +38,16 @@ from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.asked_cells import cell_laws
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.optics.law.focusing import ratios_of, refract_each
+from clacad.optics.surface import Quadric
 from clacad.prescription.aimed_cells import STEEPEST, AimPoint, aimed
 from clacad.prescription.bodies import FieldCells
-from clacad.prescription.radii import NoSuchLens, biconvex_exact, thin_pair
+from clacad.prescription.field_lens import FieldOfCells, plate_of_cells, plates_of_cells, symmetric_foci
+from clacad.prescription.radii import LensPair, NoSuchLens, biconvex_exact, thin_pair
 from clacad.prescription.sharp_pairs import (
     chief_focal_lengths,
     inclined_sizes,
     placed_field,
+    thick_lenses,
     with_focus,
     with_pitch_2,
 )
@@ -55,9 +59,10 @@ from clacad.prescription.traced_vertices import (
     moves_of,
     traced_moves,
 )
-from clacad.sheet.cell_places import CellLaws, CellPlacement, VertexChange, as_table, lens_plane_slope
+from clacad.sheet.cell_places import CellLaws, CellPlacement, VertexChange, as_table, lens_plane_slope, tabled
 from clacad.sheet.vignetting import aperture_slope, aperture_slopes
-from clacad.sheet.window import Body, Face, ThinPair, Window
+from clacad.sheet.volume_and_extent import FIELD
+from clacad.sheet.window import Body, Face, FieldLens, ThinPair, Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -79,11 +84,14 @@ class CellSizes:
     built : (2, n). Of lens 1 and lens 2 as built.
     thin : (2, n). Of the equivalent thin lenses.
     focal : (n,). Displacement of lens 2 over δ, the focal length of an afocal lens 1, over the sheet's.
+
+    field : Field lenses of the cells, with a column for the law's η before them; None without any.
     """
 
     built: Floats
     thin: Floats
     focal: Floats
+    field: FieldOfCells | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +150,10 @@ def with_own_cells(window: Window, design: Design, field: FieldCells | None = No
         if inclined:  # lenses 2 follow their cells
             table = table - _followed(placed.placements[1], placed, targets.cells)
         _refuse_far(placed, targets, table, aims)
+    if targets.sizes is not None and targets.sizes.field is not None:
+        apart = placed.shifts[1] + _followed(placed.placements[1], placed, targets.cells)
+        table = table + targets.sizes.field.pull[:, None] * apart
+        placed = _with_field(placed, targets, targets.sizes.field, apart)
     if traced:
         follow = _followed(placed.placements[1], placed, targets.cells)
         drift = 1.0 if not aims else 0.0 if field is None else field.drift
@@ -237,7 +249,8 @@ def _light(window: Window, targets: Targets, first: Floats, slope: Pair2, aims: 
         variables.append(etas[:, :1])
     if targets.sizes is not None:
         ratio = np.full(len(targets.cells), window.law.eta_x) if etas is None else etas[:, 0]
-        own = OwnLenses(targets.sizes.built, np.minimum(1.0, 1.0 / np.abs(ratio)))
+        field = None if targets.sizes.field is None else targets.sizes.field.size
+        own = OwnLenses(targets.sizes.built, np.minimum(1.0, 1.0 / np.abs(ratio)), field)
     return CellLight(targets.slopes, asked, first, np.column_stack(variables), targets.key, slope, own)
 
 
@@ -276,6 +289,45 @@ def _with_tables(window: Window, targets: Targets, table: Floats, slope: Pair2) 
     return replace(window, bodies=tuple(map(faces, window.bodies)))
 
 
+def _with_field(window: Window, targets: Targets, field: FieldOfCells, apart: Floats) -> Window:
+    """Window with the field faces of each cell; `apart` (n, 2), lengths, from cell 1 to cell 2."""
+    rows = iter(range(len(field.size)))
+
+    def changed(face: Face) -> Face:
+        if face.array != FIELD:
+            return face
+        own, change = next(rows), face.change or VertexChange()
+        moved, size, lift = (
+            as_table(window.lattice, targets.cells, each, beyond)
+            for each, beyond in (
+                (field.share[own][:, None] * apart, 0.0),
+                (field.size[own], 1.0),
+                (field.lift[own], 0.0),
+            )
+        )
+        return replace(face, change=replace(change, table=moved, size=size, lift=lift))
+
+    bodies = tuple(replace(b, front=changed(b.front), back=changed(b.back)) for b in window.bodies)
+    return replace(window, bodies=bodies)
+
+
+def _thin_fields(window: Window, targets: Targets) -> tuple[FieldLens, ...]:
+    """Ideal field lenses, at the focus of lens 1 of each cell where these differ."""
+    pair = window.thin
+    if targets.sizes is None or targets.sizes.field is None:
+        return pair.field
+    (lens,), cells = pair.field, targets.cells
+    first, second = targets.sizes.thin
+    apart = pair.shift + _followed(pair.second, window, cells)
+    rise = lens.depth * (first - 1.0)
+    change = VertexChange(
+        table=as_table(window.lattice, cells, (rise / pair.separation)[:, None] * apart),
+        size=as_table(window.lattice, cells, first * second, 1.0),
+        lift=as_table(window.lattice, cells, rise),
+    )
+    return (replace(lens, change=change),)
+
+
 def _thin(window: Window, targets: Targets, inclined: bool) -> ThinPair:
     """Ideal pair of a window whose law varies, or with inclined planes that its pairs image."""
     pair, sizes = window.thin, targets.sizes
@@ -288,7 +340,8 @@ def _thin(window: Window, targets: Targets, inclined: bool) -> ThinPair:
     change = _change(
         pair.change, as_table(window.lattice, targets.cells, ideal), lens_plane_slope(pair.rotation), size[1]
     )
-    return replace(pair, change=change, change_1=None if size[0] is None else VertexChange(size=size[0]))
+    first = None if size[0] is None else VertexChange(size=size[0])
+    return replace(pair, change=change, change_1=first, field=_thin_fields(window, targets))
 
 
 def _change(affine: VertexChange | None, table: Floats, slope: Pair2, size: Floats | None) -> VertexChange:
@@ -352,16 +405,55 @@ def sizes_of(window: Window, design: Design, laws: CellLaws) -> CellSizes:
     """
     cells = window.lattice.cells()
     etas = laws.ratios_of(window.lattice, cells)[:, 0]
-    thin = thin_sizes(etas, window.law.eta_x)
+    thin, thick = thin_sizes(etas, window.law.eta_x), thick_lenses(design)
     if design.pair.form == "biconvex":
-        _refuse_steps(window, laws, cells, etas)
-    if design.pair.form == "biconvex" and design.pair.confocal == "exact":
-        built, focal = _thick(window, cells, etas)
+        _refuse_steps(window, cells, etas)
+    if window.field_array:
+        built, focal, field = _with_plates(window, design, cells, etas, thick)
+    elif thick:
+        found, field = _thick(window, cells, etas), None
+        built, focal = found[:2], found[2]
     else:
-        built, focal = thin, thin[0]
+        built, focal, field = thin, thin[0], None
     if not design.pair.given:  # given faces may reach farther: `cell_heights.refuse_no_faces`
         _refuse_small(window, cells, etas, built)
-    return CellSizes(built, thin, focal)
+    return CellSizes(built, thin, focal, field)
+
+
+def _with_plates(
+    window: Window, design: Design, cells: Ints, etas: Floats, thick: bool
+) -> tuple[Floats, Floats, FieldOfCells]:
+    """As `CellSizes` of cells with field lenses: scale factors of lenses, of δ, and the field lenses.
+
+    Raises NoSuchLens: Lenses are tilted or given; the plates of two neighbours would touch; a field lens
+        ends inside its cell, or its plate has no thickness.
+    """
+    recipe, told, every = window.recipe, window.recipe["field"], np.concatenate([[window.law.eta_x], etas])
+    if design.pair.given or window.law.theta != 0.0:
+        raise NoSuchLens(
+            "field lenses of cells with an eta each lie at a focus of each cell:"
+            + (" given faces state one place for all" if design.pair.given else " tilted ones are not made"),
+            SIZES_KEY,
+            'prescription = "derived"' if design.pair.given else "theta = 0",
+            "CL127",
+        )
+    index, separation = recipe["n"], recipe["s"]
+    if "gap" in told:
+        focal, field = plates_of_cells(every, separation, told["gap"], index)
+        over = focal[1] / every
+        _refuse_touching(window, cells, etas, field.lift[0, 1:], told["gap"])
+    elif thick:
+        found = _thick(window, np.concatenate([cells[:1], cells]), every, plated=True)
+        focal, over = found[:2], found[2]
+        field = plate_of_cells(np.stack([found[2], -every * found[2]]), found[3])
+    else:  # the plate is thinner where its front rises, and lens 2 keeps its place
+        first = separation / (1.0 - window.law.eta_x)
+        over = (separation - (1.0 - 1.0 / index) * first) / (1.0 / index - every)
+        focal = np.stack([over, -every * over])
+        field = plate_of_cells(focal, over)
+    _refuse_field(window, cells, etas, field)
+    own = FieldOfCells(field.size[:, 1:], field.lift[:, 1:], field.share[:, 1:], field.pull[1:])
+    return focal[:, 1:] / focal[:, :1], over[1:] / over[0], own
 
 
 def thin_sizes(etas: Floats, eta: float) -> Floats:
@@ -370,44 +462,110 @@ def thin_sizes(etas: Floats, eta: float) -> Floats:
     return np.stack([first, first * (etas / eta)])
 
 
-def _thick(window: Window, cells: Ints, etas: Floats) -> tuple[Floats, Floats]:
-    """Radii (2, n) and focal lengths (n,) of thick lenses 1, each over those for the sheet's law."""
-    recipe, eta = window.recipe, window.law.eta_x
-    base = biconvex_exact((eta, eta), recipe["s"], tuple(recipe["T"]), recipe["n"])
+def _thick(window: Window, cells: Ints, etas: Floats, plated: bool = False) -> Floats:
+    """Radii of thick lenses 1 and 2, and focal length and focus of lens 1, of n cells, (4, n).
+
+    All but the focus (height over the centre of lens 1, length) are over those for the sheet's law. Behind a
+    field plate (`plated`), which is thinner where its front rises, they are lengths.
+    """
+    recipe = window.recipe
+    base = _thick_pair(recipe, window.law.eta_x)
+    focus = symmetric_foci(base.radius[0], recipe["T"][0], recipe["n"])[0]
     values, first, which = np.unique(etas, return_index=True, return_inverse=True)
-    found = np.empty((3, len(values)))
+    found = np.empty((4, len(values)))
     for k, eta in enumerate(values.tolist()):
         try:
-            pair = biconvex_exact((eta, eta), recipe["s"], tuple(recipe["T"]), recipe["n"])
+            pair = _thick_pair(recipe, eta, focus if plated else None)
         except NoSuchLens as error:
             i, j = cells[first[k]].tolist()
             message = f"cell ({i}, {j}), eta = {eta:g}: {error.message}"
             raise NoSuchLens(message, SIZES_KEY, error.hint) from error
-        found[:, k] = (
-            pair.radius[0][0] / base.radius[0][0],
-            pair.radius[1][0] / base.radius[1][0],
-            pair.focal_length[0][0] / base.focal_length[0][0],
-        )
-    return found[:2, which], found[2, which]
+        numbers = pair.radius[0][0], pair.radius[1][0], pair.focal_length[0][0]
+        bases = base.radius[0][0], base.radius[1][0], base.focal_length[0][0]
+        found[:3, k] = numbers if plated else np.divide(numbers, bases)
+        found[3, k] = symmetric_foci(pair.radius[0], recipe["T"][0], recipe["n"])[0]
+    return found[:, which]
 
 
-def _refuse_steps(window: Window, laws: CellLaws, cells: Ints, etas: Floats) -> None:
-    """Refuse biconvex neighbours whose η differ by more than `STEP`, naming the worst."""
+def _thick_pair(recipe: Mapping[str, Any], eta: float, focus: float | None = None) -> LensPair:
+    """Thick lenses with an η; behind a plate with its front at the focus, which lies at `focus` (length) for
+    the sheet's law.
+    """
+    (t1, t2), index, separation = recipe["T"], recipe["n"], recipe["s"]
+    pair = biconvex_exact((eta, eta), separation, (t1, t2), index)
+    if focus is None:
+        return pair
+    for _ in range(SETTLING):
+        rise = symmetric_foci(pair.radius[0], t1, index)[0] - focus
+        pair = biconvex_exact((eta, eta), separation + (1.0 - 1.0 / index) * rise, (t1, t2), index)
+    return pair
+
+
+SETTLING = 24
+"""Number of iterations of a focus and of the thickness of its plate: each gains most of a digit."""
+
+
+def _worst_step(window: Window, cells: Ints, each: Floats) -> tuple[float, Ints]:
+    """Greatest difference of numbers `each` (n,) between neighbouring cells (n, 2), and the two, (2, 2)."""
     lattice = window.lattice
+    table, worst, pair = as_table(lattice, cells, each), -1.0, cells[[0, 0]]
     for step in lattice.steps[: len(lattice.steps) // 2]:
         beside = cells + np.array(step)
-        there = np.where(lattice.contains(beside), laws.ratios_of(lattice, beside)[:, 0], etas)
-        apart = np.abs(there - etas)
-        worst = int(np.argmax(apart))
-        if apart[worst] > STEP * (1.0 + ROUNDED) + ROUNDED:
-            (i, j), (k, m) = cells[worst].tolist(), beside[worst].tolist()
+        apart = np.where(lattice.contains(beside), np.abs(tabled(table, lattice, beside, 0.0) - each), -1.0)
+        if apart.max() > worst:
+            k = int(np.argmax(apart))
+            worst, pair = float(apart[k]), np.stack([cells[k], beside[k]])
+    return worst, pair
+
+
+def _refuse_steps(window: Window, cells: Ints, etas: Floats) -> None:
+    """Refuse biconvex neighbours whose η differ by more than `STEP`, naming the worst."""
+    apart, pair = _worst_step(window, cells, etas)
+    if apart > STEP * (1.0 + ROUNDED) + ROUNDED:
+        (i, j), (k, m) = pair.tolist()
+        here, there = (etas[np.all(cells == one, axis=1)][0] for one in pair)
+        raise NoSuchLens(
+            f"biconvex cells ({i}, {j}) and ({k}, {m}) with eta = {here:g} and {there:g}:"
+            " columns of lenses so unlike do not meet in their border; neighbours may differ by"
+            f" {STEP:g}",
+            SIZES_KEY,
+            'eta that changes more slowly, or pair.form = "slab" or "plano"',
+            "CL125",
+        )
+
+
+def _refuse_touching(window: Window, cells: Ints, etas: Floats, lift: Floats, gap: float) -> None:
+    """Refuse neighbours whose steps of the two plates would touch across the gap, naming the worst."""
+    apart, pair = _worst_step(window, cells, lift)
+    if apart > gap:
+        (i, j), (k, m) = pair.tolist()
+        here, there = (etas[np.all(cells == one, axis=1)][0] for one in pair)
+        raise NoSuchLens(
+            f"cells ({i}, {j}) and ({k}, {m}) with eta = {here:g} and {there:g}: their foci lie {apart:.4g}"
+            f" apart in height, so that the plates would touch across their gap of {gap:.4g}",
+            SIZES_KEY,
+            f"pair.field.gap > {apart:.4g}, eta that changes more slowly, or one plate (plano, biconvex)",
+            "CL129",
+        )
+
+
+def _refuse_field(window: Window, cells: Ints, etas: Floats, field: FieldOfCells) -> None:
+    """Refuse a field lens that ends inside its cell, or leaves its plate no thickness there."""
+    faces, reach = [face for face in window.faces if face.array == FIELD], window.lattice.circumradius
+    plate = 0.0 if len(faces) > 1 else float(window.recipe["field"]["thickness"])
+    for face, size, lift in zip(faces, field.size, field.lift):
+        assert isinstance(face.surface, Quadric)  # given ones are refused
+        curvature, kappa = face.surface.curvature_x / size[1:], max(face.surface.kappa, 0.0) / size[1:]
+        thin = plate > 0.0 and plate - lift[1:] <= 0.5 * curvature * reach**2
+        bad = np.flatnonzero((curvature * kappa * reach**2 > 1.0) | thin)
+        if len(bad):
+            i, j = cells[bad[0]].tolist()
             raise NoSuchLens(
-                f"biconvex cells ({i}, {j}) and ({k}, {m}) with eta = {etas[worst]:g} and {there[worst]:g}:"
-                " columns of lenses so unlike do not meet in their border; neighbours may differ by"
-                f" {STEP:g}",
+                f"the field lens of cell ({i}, {j}), eta = {etas[bad[0]]:g}, would end inside its cell or"
+                " reach through its plate",
                 SIZES_KEY,
-                'eta that changes more slowly, or pair.form = "slab" or "plano"',
-                "CL125",
+                "an eta nearer to the others, a smaller pitch, or a larger separation",
+                "CL128",
             )
 
 

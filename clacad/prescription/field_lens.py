@@ -245,6 +245,51 @@ def _equal(first: Body, second: Body) -> bool:
     )
 
 
+# -- field lenses of cells with an η each ------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class FieldOfCells:
+    """Field lenses of n cells with an η each, each at the focus of its own lens 1, over those of the law's η.
+
+    size : (k, n). Scale factors of the k faces of the field lens, in the order of the light.
+    lift : (k, n) lengths. Rise of these faces.
+    share : (k, n). What their places on the line from cell 1 to cell 2 differ by.
+    pull : (n,). Displacement of lens 2 per displacement of its cell.
+    """
+
+    size: Floats
+    lift: Floats
+    share: Floats
+    pull: Floats
+
+
+def plates_of_cells(eta: Floats, separation: float, gap: float, index: float) -> tuple[Floats, FieldOfCells]:
+    """Focal lengths (2, n) of lenses of `two_plates`, and their field lenses; of the first η the law's."""
+    first = separation / (1.0 - eta)
+    inner = np.stack([first, -eta * first])
+    outer = inner / (1.0 - 0.5 * gap / inner)
+    length = separation + gap
+    pull = outer[1] * (1.0 - 1.0 / eta) / length
+    lift = np.stack([first - first[0]] * 2)
+    return outer, FieldOfCells(inner / inner[:, :1], index * lift, lift / length, pull[0] - pull)
+
+
+def plate_of_cells(focal: Floats, focus: Floats) -> FieldOfCells:
+    """Field lenses on a plate with a plane back, behind lenses of focal lengths `focal` (2, n).
+
+    focus : (n,) lengths. Height of the focus of lens 1 in each cell; of the first η the law's.
+    """
+    power, share = 1.0 / focal[0] + 1.0 / focal[1], focal[0] / focal.sum(axis=0)
+    still = np.zeros_like(focus)
+    return FieldOfCells(
+        np.stack([power[0] / power, still + 1.0]),
+        np.stack([focus - focus[0], still]),
+        np.stack([share - share[0], still]),
+        still,
+    )
+
+
 # -- one plate --------------------------------------------------------------------------------------
 
 

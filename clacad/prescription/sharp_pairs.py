@@ -204,7 +204,7 @@ def hiatus(focal_length: float, thickness: float, index: float) -> float:
 def chief_focal_lengths(design: Design, thickness: Pair2, index: float, separation: float) -> Pair2:
     """Focal lengths (f1x, f1y) of the afocal pair: they relate chief rays' δ to lens 2's offset."""
     eta = design.law_spec.eta
-    if not _thick(design):
+    if not thick_lenses(design):
         return thin_pair(eta, separation)[0]
     pairs = thick_pairs(eta, separation, planes_of(design, thickness, index), thickness, index)
     x, y = (thin_focal_lengths(value, one.separation)[0] for value, one in zip(eta, pairs, strict=True))
@@ -293,7 +293,7 @@ def _pairs_as_built(window: Window, design: Design) -> tuple[SharpPair, SharpPai
         *(window.recipe[name] for name in "Tn"),
     )
     planes = planes_of(design, (t1, t2), index)
-    if _thick(design):
+    if thick_lenses(design):
         return thick_pairs(eta, separation, planes, (t1, t2), index)
     gap = window.recipe.get("field", {}).get("gap", 0.0)  # of air between two plates with a field lens
     return sharp_pairs(eta, separation + gap, planes)
@@ -312,7 +312,7 @@ def inclined_sizes(window: Window, design: Design, cells: Ints) -> tuple[Floats,
         SharpPair.of(window.law.eta_x, window.thin.separation, planes.object, planes.image), apart
     )
     built = _focal_lengths(_pairs_as_built(window, design)[0], apart)
-    if _thick(design):
+    if thick_lenses(design):
         thickness, index = window.recipe["T"][0], window.recipe["n"]
         built = built * (1.0 + np.sqrt(1.0 - thickness / (index * built)))
     return built[1:] / built[0], thin[1:] / thin[0]
@@ -326,7 +326,7 @@ def _focal_lengths(pair: SharpPair, apart: Floats) -> Floats:
     return np.asarray(1.0 / (1.0 / (pair.separation - f2 / (1.0 - f2 * far)) - near))
 
 
-def _thick(design: Design) -> bool:
+def thick_lenses(design: Design) -> bool:
     """Whether the principal planes of a biconvex pair count; the thin recipe leaves them out."""
     return design.pair.form == "biconvex" and design.pair.confocal == "exact"
 

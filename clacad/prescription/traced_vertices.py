@@ -87,10 +87,17 @@ class OwnLenses:
 
     sizes : (2, m). Scale factors of lens 1 and lens 2, relative to the window's.
     fill : (m,). Part of the cell whose light lens 2 can accept.
+    field : (k, m) or None. Scale factors of the faces of the field lens, in the order of the light.
     """
 
     sizes: Floats
     fill: Floats
+    field: Floats | None = None
+
+    def of(self, rows: Ints) -> OwnLenses:
+        """Lenses of some cells, by their indices (k,) in the list."""
+        field = None if self.field is None else self.field[:, rows]
+        return OwnLenses(self.sizes[:, rows], self.fill[rows], field)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +132,7 @@ class CellLight:
             asked=self.asked[rows],
             first=self.first[rows],
             variable=self.variable[rows],
-            own=None if self.own is None else OwnLenses(self.own.sizes[:, rows], self.own.fill[rows]),
+            own=None if self.own is None else self.own.of(rows),
             field=None if self.field is None else self.field[:, rows],
         )
 
@@ -269,11 +276,12 @@ def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLi
     direction, scaled = unit_directions(ray)
     offset, travelled = launch(start, scaled, seq[0].vertex)
     slide = np.repeat(_slides(owners, move, light), n, axis=1)
+    sizes = _sizes(owners, light, n)
     for k, interface in enumerate(seq):
         if k:
             offset, travelled = pass_on(offset, seq[k - 1].vertex, interface.vertex), np.zeros(m * n)
             offset = offset + slide[k - 1] - slide[k]
-        size = _size_at(interface, owners[k], light, n)
+        size = sizes[k]
         crossing = cross(interface, offset / size, direction, travelled / size[..., 0])
         offset, direction = (
             crossing.offset * size,
@@ -313,11 +321,16 @@ def field_moves(window: Window, placed: Window, cells: Ints) -> Floats:
     return np.array(found)
 
 
-def _size_at(interface: Interface, owner: int, light: CellLight, n: int) -> Floats:
-    """Scale factors (m n, 1) of the lenses hit by n rays of m cells; (1, 1) of 1 if alike."""
-    if light.own is None or owner not in (0, 1):
-        return np.ones((1, 1))
-    return np.repeat(light.own.sizes[owner], n)[:, None]
+def _sizes(owners: list[int], light: CellLight, n: int) -> list[Floats]:
+    """Scale factors of every face hit by n rays of m cells, (m n, 1) each; (1, 1) of 1 if alike."""
+    own, alike = light.own, np.ones((1, 1))
+    fields = iter(() if own is None or own.field is None else own.field)
+
+    def of(owner: int) -> Floats:
+        size = None if own is None else next(fields, None) if owner == FIELD else own.sizes[owner]
+        return alike if size is None else np.repeat(size, n)[:, None]
+
+    return [of(owner) for owner in owners]
 
 
 def _cell_points(window: Window, own: OwnLenses | None = None) -> Floats:

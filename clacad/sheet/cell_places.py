@@ -203,6 +203,7 @@ class VertexChange:
         Scale factor of each cell's lens relative to the face's lens; indexed as `table`. None: 1 for all.
     climb : (along x, along y). Additional rise in z per displacement of the cell's centre in the lattice: of
         lenses that do not move as their cells do.
+    lift : (n1, n2) array or None, lengths. Additional rise of each cell's lens; indexed as `table`.
     """
 
     gradient: tuple[Pair2, Pair2] = ((0.0, 0.0), (0.0, 0.0))
@@ -210,6 +211,7 @@ class VertexChange:
     slope: Pair2 = (0.0, 0.0)
     size: Floats | None = None
     climb: Pair2 = (0.0, 0.0)
+    lift: Floats | None = None
 
     def at(self, lattice: Lattice, index: Ints) -> Floats:
         """Displacement (..., 2), lengths, of cells `index` (..., 2); 0 for cells left out of a table."""
@@ -221,19 +223,21 @@ class VertexChange:
     @property
     def level(self) -> bool:
         """Whether all lenses have one height."""
-        return not any((*self.slope, *self.climb))
+        return self.lift is None and not any((*self.slope, *self.climb))
 
     @property
     def mirrored(self) -> VertexChange:
         """Displacements of the lenses of a sheet turned over in z."""
         (a, b), (c, d) = self.slope, self.climb
-        return replace(self, slope=(-a, -b), climb=(-c, -d))
+        return replace(self, slope=(-a, -b), climb=(-c, -d), lift=None if self.lift is None else -self.lift)
 
     def rise(self, lattice: Lattice, index: Ints, moved: Floats) -> Floats:
         """Rise in z (...), lengths, of the lenses of cells `index` (..., 2), displaced by `moved` (..., 2),
         lengths.
         """
         rise = np.asarray(moved @ np.array(self.slope))
+        if self.lift is not None:
+            rise = rise + tabled(self.lift, lattice, index, 0.0)
         return rise + lattice.centres(index) @ np.array(self.climb) if any(self.climb) else rise
 
     def places(self, vertex: tuple[float, float, float], lattice: Lattice, index: Ints) -> LensPlaces:
@@ -249,10 +253,11 @@ class VertexChange:
 
         Raises ValueError: The table has fewer cells.
         """
-        table, size = (
-            None if whole is None else of_middle(whole, count, lattice) for whole in (self.table, self.size)
+        table, size, lift = (
+            None if whole is None else of_middle(whole, count, lattice)
+            for whole in (self.table, self.size, self.lift)
         )
-        return replace(self, table=table, size=size)
+        return replace(self, table=table, size=size, lift=lift)
 
 
 def linear_change(gradient: Floats, climb: Floats) -> VertexChange | None:
@@ -311,9 +316,9 @@ def extreme_cells(change: VertexChange, lattice: Lattice) -> Ints:
     """List kept cells whose lenses are displaced farthest, in each of 64 directions, (m, 2).
 
     For lenses of many sizes, add the largest, the smallest, and the steepest and highest at their rims in
-    each direction.
+    each direction; of many heights, the lowest and the highest.
     """
-    alike = change.table is None and change.size is None
+    alike = change.table is None and change.size is None and change.lift is None
     cells = row_ends(lattice) if alike else lattice.cells()
     moved = change.at(lattice, cells)
     angle = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
@@ -322,6 +327,9 @@ def extreme_cells(change: VertexChange, lattice: Lattice) -> Ints:
         size = tabled(change.size, lattice, cells, 1.0)
         rims = [lattice.circumradius + one for one in out]
         out += [size, -size, *(rim / size for rim in rims), *(rim**2 / size for rim in rims)]
+    if change.lift is not None:
+        lift = tabled(change.lift, lattice, cells, 0.0)
+        out += [lift, -lift]
     return np.unique(cells[[int(np.argmax(one)) for one in out]], axis=0)
 
 

@@ -145,6 +145,7 @@ def _grown_change(change: VertexChange, size: Three) -> VertexChange:
         table=None if change.table is None else change.table * np.array([kx, ky]),
         slope=(sx * kz / kx, sy * kz / ky),
         climb=(lx * kz / kx, ly * kz / ky),
+        lift=None if change.lift is None else change.lift * kz,
     )
 
 

@@ -199,7 +199,7 @@ def off_partner(cells: ThinCells, index: Ints, slopes: Floats) -> Floats:
     slopes : (n, 2). Incident slopes, lens frame.
     """
     apart = _partner_apart(cells, index)
-    arrival = arrivals(cells, slopes, apart) - cells.centre
+    arrival = arrivals(cells, slopes, apart, index) - cells.centre
     return np.asarray(arrival if apart is None else arrival - _in_lens_plane(cells.pair.rotation, apart))
 
 
@@ -234,28 +234,36 @@ def _second_array(window: Window) -> Lattice:
     return window.thin.second.lattice(window.lattice)
 
 
-def arrivals(cells: ThinCells, slopes: Floats, apart: Floats | None = None) -> Floats:
+def arrivals(
+    cells: ThinCells, slopes: Floats, apart: Floats | None = None, of_cells: Ints | None = None
+) -> Floats:
     """Position (n, 2) of the centre of the copy of lens 1's zone in the plane of lens 2, for light of
     lens-frame slopes (n, 2); lengths.
 
     apart : (n, 2) lengths or None
         Displacement of the partner of each cell, which field lenses follow; sheet frame.
+    of_cells : (n, 2) or None. Cells whose own field lenses the light meets; None: the central one's.
     """
     pair = cells.pair
     if not pair.field:
         return np.asarray(cells.separation * slopes)
-    ratio = np.array(focal_ratio(pair))
+    ratio = np.broadcast_to(focal_ratio(pair), slopes.shape)
+    if of_cells is not None and (scale := scale_of_image(cells, of_cells)) is not None:
+        ratio = ratio * scale[:, None]
     arrival = np.empty_like(slopes)
     for lens in pair.field:
+        depth = np.full((len(slopes), 1), lens.depth)
+        if of_cells is not None:
+            depth = lens.in_cells(cells.window.lattice, of_cells)[0][:, None]
         powered = [axis for axis in (0, 1) if np.isfinite(lens.focal_length[axis])]
-        vertex = np.tile(pair.field_centre(lens) @ pair.rotation, (len(slopes), 1))
+        vertex = depth / lens.depth * (pair.field_centre(lens) @ pair.rotation)
         centre, lattice = cells.centre, cells.window.lattice
         if apart is not None:
             across = _in_lens_plane(pair.rotation, apart)
-            vertex[:, :2] += lens.depth / pair.separation * across
+            vertex[:, :2] += depth / pair.separation * across
             centre, lattice = centre + across, pair.field_place(lens, lattice)[0].lattice(lattice)
         met = vertex.copy()
-        met[:, powered] = lens.depth * slopes[:, powered]
+        met[:, powered] = depth * slopes[:, powered]
         aside = (met - vertex) @ pair.rotation.T
         index, _ = relocate(lattice, aside[:, :2])
         steps = index @ np.array([lattice.offset(1, 0), lattice.offset(0, 1)])

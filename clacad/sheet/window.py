@@ -224,10 +224,18 @@ class FieldLens:
 
     focal_length : (f_x, f_y), lengths. Infinite in a meridian without power.
     depth : length. Distance from lens 1 along the lens axis.
+    change : Displacement, rise and scale factor of the lens of each cell; None: all are alike.
     """
 
     focal_length: tuple[float, float]
     depth: float
+    change: VertexChange | None = None
+
+    def in_cells(self, lattice: Lattice, index: Ints) -> tuple[Floats, LensPlaces]:
+        """Depths (...), and places relative to the central one, of the lenses of cells `index` (..., 2)."""
+        middle = (0.0, 0.0, 0.0)
+        places = LensPlaces(middle) if self.change is None else self.change.places(middle, lattice, index)
+        return self.depth + np.broadcast_to(places.rise, index.shape[:-1]), places
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,7 +296,10 @@ class ThinPair:
         x, y, _ = self.field_centre(lens).tolist()
         place, rest = self.second.between(lattice, lens.depth / self.separation * np.eye(2), (x, y))
         climb = np.array(lens_plane_slope(self.rotation)) @ (rest + place.aside(lattice))
-        return place, linear_change(rest, climb)
+        change = linear_change(rest, climb)
+        if lens.change is not None and change is not None:
+            return place, replace(lens.change, gradient=change.gradient, climb=change.climb)
+        return place, change or lens.change
 
 
 @dataclass(frozen=True)
@@ -486,8 +497,12 @@ class Window(PlacedArrays):
             None if one is None else one.of_middle(self.lattice, count)
             for one in (self.thin.change_1, self.thin.change)
         )
+        fields = tuple(
+            replace(one, change=None if one.change is None else one.change.of_middle(self.lattice, count))
+            for one in self.thin.field
+        )
         if first is not None or second is not None:
-            small = replace(small, thin=replace(self.thin, change_1=first, change=second))
+            small = replace(small, thin=replace(self.thin, change_1=first, change=second, field=fields))
         if self.cell_laws is not None:
             small = replace(small, cell_laws=self.cell_laws.of_middle(self.lattice, count))
         return replace(small, outline=side_outline(small))

@@ -109,7 +109,7 @@ def has_kernel(rung: Rung, window: Window) -> bool:
     if rung == "law":
         return True
     changes = [window.thin.change] if rung == "thin" else [face.change for face in window.faces]
-    if any(change is not None and any(change.climb) for change in changes):
+    if any(change is not None and (any(change.climb) or change.lift is not None) for change in changes):
         return False
     if rung == "thin":
         return not (window.thin.field or window.thin.turn)

@@ -146,7 +146,7 @@ def test_field_faces_lie_where_the_light_of_each_cell_passes_on_its_way_to_its_p
             assert np.abs(far - window.centres(1, cell)).max() < 2e-3 * min(window.lattice.pitch)
 
 
-TRACED = sorted({*PAIRS[::6], ("pair.focus", "field lens")})
+TRACED = sorted({*PAIRS[::6], ("pair.focus", "field lens"), (ETAS, "field lens")})
 
 
 @pytest.mark.parametrize(("sheet", "feature"), TRACED)

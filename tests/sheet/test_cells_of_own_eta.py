@@ -19,7 +19,7 @@ from clacad.sheet.cell_heights import highest_step
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.representative_cells import representative_cells
-from clacad.sheet.vignetting import partner_share
+from clacad.sheet.vignetting import aperture_slopes, partner_share
 from clacad.sheet.volume_and_extent import body_volume
 from clacad.sheet.window import face_height, lens_height_and_normal
 from clacad.tracing.layout import lay_out
@@ -106,6 +106,89 @@ def test_each_pair_is_afocal_with_exactly_its_own_eta(tmp_path, form):
         (_, _), (bends, magnifies) = matrix(window, cell)
         assert abs(bends) * 0.25 < 3e-14
         assert magnifies == pytest.approx(1.0 / eta, rel=1e-12)
+
+
+LENSED = {
+    "two plates": {"pair__field": {"gap": 0.5}}, "hexagonal": {"pair__field": {"gap": 0.5}, "lattice__kind": "hexagonal"},
+    "plano": FORMS["plano"], "curved inside": FORMS["plano, curved inside"], "biconvex": FORMS["biconvex"],
+    "aimed": {"pair__field": {"gap": 0.5}, "lattice__aperture": {"point": [3, 2, -300]}},
+    "steered plano": {**FORMS["plano"], "lattice__aperture": [0.02, -0.01]},
+}  # fmt: skip
+
+
+def field_design(folder, form, delta=sloping, **more):
+    keys = {"pair__field_lens": True, **LENSED[form], "pair__surface": None, **more}
+    return design(folder, spread(-0.9, -1.2), delta, **keys)
+
+
+@pytest.mark.parametrize("form", LENSED)
+def test_the_field_lens_of_each_cell_images_its_lens_1_onto_its_lens_2_and_leaves_its_law(tmp_path, form):
+    """By the product of the matrices of its faces, from the plane of lens 1 to that of lens 2."""
+    window = clacad.prescribe(field_design(tmp_path, form))
+    for cell in window.lattice.cells():
+        eta = window.law_at(cell).eta_x
+        (_, images), (bends, magnifies) = matrix(window, cell)
+        assert abs(bends) < 1e-15
+        assert magnifies == pytest.approx(1.0 / eta, rel=1e-14)
+        if form not in ("curved inside", "biconvex"):  # their first and last face is not in the lens plane
+            assert abs(images) < 1e-14
+    faces = [face for face in window.faces if face.array == 2]
+    for face in faces:
+        assert np.ptp(window.vertices(face, window.lattice.cells())[:, 2]) > 0.5
+
+
+@pytest.mark.parametrize("offset", ["traced", "paraxial"])
+@pytest.mark.parametrize("form", LENSED)
+def test_light_through_a_field_lens_of_each_cell_leaves_by_the_law_of_that_cell(tmp_path, form, offset):
+    window = clacad.prescribe(field_design(tmp_path, form, pair__offset=offset))
+    cells = window.lattice.cells()
+    ray = np.column_stack([aperture_slopes(window, cells), np.ones(len(cells))])
+    start = np.column_stack([window.lattice.centres(cells) + [0.02, 0.01], np.zeros(len(cells))]) - ray
+    for rung, off in (("thin", 1e-14), ("surfaces", 4e-4)):
+        seen = clacad.trace(window, clacad.Rays(start, ray), rung=rung, path="numpy")
+        assert (seen.fate == Fate.ALIVE).all()
+        exact = np.array([window.law_at(cell).refract(one) for cell, one in zip(cells, ray, strict=True)])
+        assert np.abs(seen.direction - exact).max() < off
+    like = like_cell(window, cells[0])
+    aside = start[:1] - [*window.lattice.centres(cells[0]), 0.0] + [*like.lattice.centres(cells[0]), 0.0]
+    own = clacad.trace(like, clacad.Rays(aside, ray[:1]), path="numpy").direction
+    assert np.abs(own - seen.direction[:1]).max() < 1e-13
+
+
+def test_chief_rays_of_steered_cells_leave_by_the_law_of_their_cell_to_first_order(tmp_path):
+    wide = {"pair__field": {"gap": 2.0}, "pair__offset": "paraxial", "lattice__aperture": [0.004, -0.002]}
+    window = clacad.prescribe(field_design(tmp_path, "two plates", still, **wide))
+    cells, ray = window.lattice.cells(), np.array([0.004, -0.002, 1.0])
+    start = np.column_stack([window.lattice.centres(cells), np.zeros(len(cells))]) - ray
+    seen = clacad.trace(window, clacad.Rays(start, ray), path="numpy")
+    exact = np.array([window.law_at(cell).refract(ray) for cell in cells])
+    assert np.abs(seen.direction - exact).max() < 5e-6  # cubic in the slope
+
+
+def test_shares_of_light_that_field_lenses_keep_are_those_of_rays(tmp_path):
+    window = clacad.prescribe(field_design(tmp_path, "plano"))
+    rng = np.random.default_rng(5)
+    for slope in ((0.0, 0.0), (0.049, -0.02)):  # the second meets the next field lens in some cells only
+        for cell in ((0, 0), (6, 5)):
+            place = window.lattice.centres(np.array(cell)) + rng.uniform(-0.25, 0.25, (20_000, 2))
+            ray = (*(aperture_slopes(window, np.array([cell]))[0] + slope), 1.0)
+            rays = clacad.Rays(np.column_stack([place, np.zeros(20_000)]) - ray, ray)
+            counted = (clacad.trace(window, rays, rung="thin").fate == Fate.ALIVE).mean()
+            found = partner_share(window, np.array([cell]), np.array([ray]))[0]
+            assert found == pytest.approx(counted, abs=0.015)
+
+
+def test_plates_of_neighbours_that_would_touch_across_their_gap_are_refused_with_the_gap_that_works(tmp_path):
+    """Steps of n (f1 - f1') between foci: nothing else lies between the plates."""
+    with pytest.raises(clacad.DesignError) as caught:
+        clacad.prescribe(field_design(tmp_path, "two plates", pair__field={"gap": 0.1}))
+    (mistake,) = caught.value.mistakes
+    assert mistake.code == "CL129"
+    assert "cells (0, 0) and (1, 0)" in mistake.message
+    gap = float(mistake.hint.split("gap > ")[1].split(",")[0])
+    window = clacad.prescribe(field_design(tmp_path, "two plates", pair__field={"gap": 1.001 * gap}))
+    step = window.bodies[0].index * 10.0 * (1.0 / 1.9 - 1.0 / (1.9 + 0.3 / 11.0))
+    assert gap == pytest.approx(step, rel=1e-3)
 
 
 def test_given_faces_of_a_cell_are_those_of_the_design_scaled_with_its_eta(tmp_path):
@@ -362,7 +445,7 @@ PRESENT = {
     "given faces": {"pair__prescription": "given", "pair__face": [{"radius": 2.468}, {"radius": 2.468}], "pair__surface": None},
     "eta_x and eta_y that differ": {"law__eta": [-1.0, -0.9]}, "depth of a lens": {"pair__surface": None, "pair__depth": [2.4, 2.4]},
     "biconvex of a thickness to be found": {"pair__form": "biconvex", "pair__surface": None},
-    "field lens": {"pair__field_lens": True, "pair__surface": None},
+    "field lens": {"pair__field_lens": True, "pair__surface": None, "pair__field": {"gap": 0.5}},
 }  # fmt: skip
 ELSEWHERE = {f.name for f in FEATURES} - set(PRESENT)
 """Features that exclude a table of cells and are refused before it is read; law.delta and law.varying are its own."""

@@ -139,7 +139,9 @@ def _moved(window: Window, change: VertexChange, i: int, j: int) -> Vector:
         own = replace(change, gradient=((0.0, 0.0), (0.0, 0.0))).at(window.lattice, np.array([i, j]))
         moved = _added(moved, (Decimal(float(own[0])), Decimal(float(own[1])), Decimal(0)))
     along, across, climb_x, climb_y = (Decimal(s) for s in (*change.slope, *change.climb))
-    return moved[0], moved[1], along * moved[0] + across * moved[1] + climb_x * x + climb_y * y
+    lift = VertexChange(lift=change.lift).rise(window.lattice, np.array([i, j]), np.zeros(2))
+    rise = along * moved[0] + across * moved[1] + climb_x * x + climb_y * y + Decimal(float(lift))
+    return moved[0], moved[1], rise
 
 
 def _through(steps: Sequence[_Step], position: Vector, ray: Vector) -> Vector | None:
