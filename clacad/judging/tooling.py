@@ -139,7 +139,7 @@ def _light(
     like = one.like.faces[window.number_of(face)]
     made, step = _made(one.like, like, of, points, one.index, compensation)
     through = made_bodies(one.like, like, one.index, made, step)
-    what = f"form of the part that it makes ({of.label}; the other faces as designed)"
+    what = f"form of the part that it makes, without roundings and texture ({of.label}; the rest as designed)"
     return light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)
 
 
