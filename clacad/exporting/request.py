@@ -92,7 +92,7 @@ class Request:
     fused : One solid a connected piece in STEP (`step` is then "fused") and one mesh a body in 3MF and GLB,
         which otherwise repeat one cell of a uniform sheet without border.
     compensation : Of the process of the design; the export fills it in.
-    as_made : Light through the sheet as its process makes it, for the manifest; None: not asked for.
+    as_made : Light through the sheet as its process makes it, for the manifest; None: not requested.
     """
 
     formats: tuple[str, ...] = _declared(

@@ -22,6 +22,7 @@ from clacad.base.units import A4, A6, A8
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface
 from clacad.sheet.cell_places import CellPlacement, VertexChange
 from clacad.sheet.lattice import Circle, Lattice, Outline, Rectangle
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import PLANE, Body, Face, Window
 
 Three = tuple[float, float, float]
@@ -164,11 +165,12 @@ def _grown_place(place: CellPlacement, size: Three) -> CellPlacement:
 def _grown_outline(outline: Outline | None, size: Three) -> Outline | None:
     if outline is None or isinstance(outline, Rectangle):
         return None if outline is None else Rectangle(outline.width * size[0], outline.height * size[1])
-    if isinstance(outline, Circle) and size[0] == size[1]:
-        return Circle(outline.diameter * size[0])
+    if size[0] == size[1]:
+        return Circle(outline.diameter * size[0]) if isinstance(outline, Circle) else outline.sized(size[0])
     what = "round" if isinstance(outline, Circle) else "drawn"
     raise CannotShrink(
-        f"a {what} outline is not scaled by {size[0]:g} and {size[1]:g}; use a rectangular one"
+        f"a {what} outline is not scaled by {size[0]:g} and {size[1]:g}; use a rectangular one, or one"
+        " shrinkage along x and y"
     )
 
 
@@ -252,8 +254,10 @@ def insert_window(
         cut = cut.seen_from_behind
         placements = whole.placements
     else:
-        _refuse_turned(whole, cut, label)
+        _refuse_turned(whole)
         cut = _turned(cut).seen_from_behind
+        lattice = replace(whole.lattice, outline=_turned_outline(whole.lattice.outline))
+        whole = replace(whole, lattice=lattice, outline=_turned_outline(whole.outline))
         placements = tuple(
             replace(place, shift=(place.shift[0], 0.0 - place.shift[1]), turn=0.0 - place.turn)
             for place in whole.placements
@@ -277,15 +281,16 @@ def _turned(face: Face) -> Face:
         vertex=(x, 0.0 - y, 0.0 - z),
         rotation=rotation,
         land=None if face.land is None else 0.0 - face.land,
+        change=None if face.change is None else face.change.turned,
     )
 
 
-def _refuse_turned(window: Window, face: Face, label: str) -> None:
+def _turned_outline(outline: Outline | None) -> Outline | None:
+    return outline.turned if isinstance(outline, Plate) else outline
+
+
+def _refuse_turned(window: Window) -> None:
     """Refuse sheets whose cells do not lie on those of the sheet turned about x."""
-    if face.change is not None:
-        raise CannotShrink(
-            f"insert: every lenslet of {label} is another; only front faces of such sheets are turned"
-        )
     if window.lattice.hexagonal and window.lattice.count[1] % 2 == 0:
         raise CannotShrink(
             f"insert: {window.lattice.count[1]} rows of hexagonal cells do not lie on themselves when turned"
