@@ -79,32 +79,6 @@ class Plate:
     pitch: tuple[float, float] | None = None
     turn: float = 0.0
 
-    def sized(self, size: float) -> Plate:
-        """The plate larger by `size` about the origin."""
-        return Plate(
-            tuple((x * size, y * size, bulge) for x, y, bulge in self.vertices),
-            tuple(
-                replace(
-                    one, x=one.x * size, y=one.y * size, diameter=one.diameter * size, play=one.play * size
-                )
-                for one in self.holes
-            ),
-            (self.moved[0] * size, self.moved[1] * size),
-            None if self.pitch is None else (self.pitch[0] * size, self.pitch[1] * size),
-            self.turn,
-        )
-
-    @property
-    def turned(self) -> Plate:
-        """The plate turned by 180 degrees about x."""
-        corners = self.vertices
-        # a side keeps its bulge: the mirror image changes its sign, and so does running it backwards
-        vertices = tuple(
-            (x, 0.0 - y, corners[k - 1][2]) for k, (x, y, _) in reversed(list(enumerate(corners)))
-        )
-        holes = tuple(replace(one, y=0.0 - one.y) for one in self.holes)
-        return Plate(vertices, holes, (self.moved[0], 0.0 - self.moved[1]), self.pitch, 0.0 - self.turn)
-
     def __repr__(self) -> str:
         return f"Plate({len(self.vertices)} corners, {len(self.holes)} holes)"
 

@@ -22,7 +22,7 @@ from clacad.base.units import A4, A6, A8
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface
 from clacad.sheet.cell_places import CellPlacement, VertexChange
 from clacad.sheet.lattice import Circle, Lattice, Outline, Rectangle
-from clacad.sheet.plate import Plate
+from clacad.sheet.plate import Hole, Plate
 from clacad.sheet.window import PLANE, Body, Face, Window
 
 Three = tuple[float, float, float]
@@ -166,11 +166,23 @@ def _grown_outline(outline: Outline | None, size: Three) -> Outline | None:
     if outline is None or isinstance(outline, Rectangle):
         return None if outline is None else Rectangle(outline.width * size[0], outline.height * size[1])
     if size[0] == size[1]:
-        return Circle(outline.diameter * size[0]) if isinstance(outline, Circle) else outline.sized(size[0])
+        return Circle(outline.diameter * size[0]) if isinstance(outline, Circle) else _sized(outline, size[0])
     what = "round" if isinstance(outline, Circle) else "drawn"
     raise CannotShrink(
         f"a {what} outline is not scaled by {size[0]:g} and {size[1]:g}; use a rectangular one, or one"
         " shrinkage along x and y"
+    )
+
+
+def _sized(plate: Plate, size: float) -> Plate:
+    """The plate larger by `size` about the origin."""
+    x, y = plate.moved
+    return Plate(
+        tuple((x * size, y * size, bulge) for x, y, bulge in plate.vertices),
+        tuple(Hole(h.x * size, h.y * size, h.diameter * size, h.purpose, h.play * size) for h in plate.holes),
+        (x * size, y * size),
+        None if plate.pitch is None else (plate.pitch[0] * size, plate.pitch[1] * size),
+        plate.turn,
     )
 
 
@@ -286,7 +298,17 @@ def _turned(face: Face) -> Face:
 
 
 def _turned_outline(outline: Outline | None) -> Outline | None:
-    return outline.turned if isinstance(outline, Plate) else outline
+    """An outline turned by 180 degrees about x."""
+    if not isinstance(outline, Plate):
+        return outline
+    corners = outline.vertices
+    # a side keeps its bulge: the mirror image changes its sign, and so does running it backwards
+    back = reversed(list(enumerate(corners)))
+    vertices = tuple((x, 0.0 - y, corners[k - 1][2]) for k, (x, y, _) in back)
+    holes = tuple(replace(one, y=0.0 - one.y) for one in outline.holes)
+    return Plate(
+        vertices, holes, (outline.moved[0], 0.0 - outline.moved[1]), outline.pitch, 0.0 - outline.turn
+    )
 
 
 def _refuse_turned(window: Window) -> None:
