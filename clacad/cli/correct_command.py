@@ -95,6 +95,8 @@ def _rows(found: Correction) -> list[tuple[str, str]]:
             f" {face['astigmatism']:.3g} 1/{unit}; it leaves {nano * face['rms']:.3g} nm rms",
         )
     )
+    if found.no_next_design:
+        rows.append(("next", found.no_next_design))
     return [*rows, *(("note", note) for note in found.notes)]
 
 

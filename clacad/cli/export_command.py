@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.base.text import count_text, mrad_text, short_size_text, whole_number
 from clacad.cli.brief import Brief, facts
-from clacad.cli.command import Command, OfDesign, declared, dry_run_option, option, required
+from clacad.cli.command import Command, OfDesignAsMade, declared, dry_run_option, option, required
 from clacad.cli.console import Console, Progress, say
 from clacad.cli.option_values import (
     BadOption,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export(OfDesign):
+class Export(OfDesignAsMade):
     """Write the part: files and manifest.json; prints the fabrication table."""
 
     out: Path = required("-o, --out DIR", "Folder to write to.")
@@ -76,12 +76,14 @@ def run(given: Export, console: Console) -> int:
 
     if given.formats == (POV,) and is_scene(given.design):
         return _export_scene(given, console)
-    design = load_design(given.design, given.set)
+    design = load_design(given.design, given.overrides)
     if not given.force:
         _refuse_uncountable(design if given.cells is None else design.with_cells(given.cells))
     request = _request(design, given)
     if given.target is not None:
         request = _within_target(design, given, given.target, request, console)
+    if given.as_made:
+        request = _as_made(_cut(design, request), request, console)
     if given.dry_run:
         return _forecast(design, given.out, request, console)
     return _export(given, design, request, console)
@@ -106,6 +108,17 @@ def _request(design: Design, given: Export) -> Request:
         **{name: _length(name, getattr(given, name), design) for name in ("nose", "tool_step")},
     }
     return Request(**{**typed, **read})
+
+
+def _as_made(design: Design, request: Request, console: Console) -> Request:
+    """The request with the light of the sheet as its process makes it, which is printed."""
+    from clacad.making.light_as_made import judge_as_made
+    from clacad.prescription.prescribe import prescribe
+
+    found = judge_as_made(design, prescribe(design))
+    for check in found.checks:
+        console.say(f"{check.id} {check.state}: {check.sentence}")
+    return replace(request, as_made=found.to_dict())
 
 
 def _length(name: str, text: str | None, design: Design) -> float | None:
@@ -137,7 +150,7 @@ def _export(given: Export, design: Design, request: Request, console: Console) -
 
     cells = () if given.cells is None else ("--cells", "x".join(map(str, given.cells)))
     where = "--files", given.out, "-o", given.out / "report"
-    following = command_line("clacad verify", given.design, *cells, *where, changes=given.set)
+    following = command_line("clacad verify", given.design, *cells, *where, changes=given.overrides)
     console.show(lambda: dict(manifest.document), text, lambda: _brief(design, manifest, following))
     return 0
 

@@ -108,19 +108,22 @@ substrate  0     0                1           1          0         0
 
 _MADE_SOURCES = (
     "an ideal process leaves nothing",
-    "nose radius as in the limits; a feed of 2 micrometres a turn leaves scallops of 20 nanometres peak to"
-    " valley, 6 rms, as fly-cut and turned optics have (Rhorer and Evans, Fabrication of optics by diamond"
-    " turning, Handbook of Optics)",
-    "voxels of 0.2 to 0.5 micrometres are spots of 0.1 micrometres sigma, slices 0.1 micrometres apart;"
-    " resists shrink by some percent, seen in height where the base is fixed (Ovsianikov et al., Optics"
-    " Express 17, 2143 (2009))",
-    "8-bit dose, 256 levels (EPFL Center of MicroNanoTechnology, Grayscale lithography); a laser spot of"
-    " 1 micrometre is 0.4 sigma; depth over dose is not linear and is calibrated (Micromachines 8, 314"
-    " (2017))",
-    "the insert is diamond turned; PMMA shrinks by 0.2 to 0.6 percent in the mould (International Journal of"
-    " Polymer Science 2013, 610132, table 2)",
-    "layers of 25 micrometres, as in the limits; acrylate resins shrink by about 1 percent of each length"
-    " after printing (Formlabs, Form 3: parts are scaled by the printer, which leaves a part of it)",
+    "nose radius as in the limits; judged default: a feed of 2 micrometres, whose scallops of 20 "
+    "nanometres peak to valley, 6 rms, follow from f^2/8r; Rhorer and Evans, Fabrication of optics by "
+    "diamond turning (Handbook of Optics) is the reference work, its figures were not checked",
+    "judged defaults: spots of 0.1 micrometres sigma for voxels of 0.2 to 0.5, slices 0.1 micrometres "
+    "apart, 2 % of shrinkage in height on a base that is fixed; Ovsianikov et al., Optics Express 17, "
+    "2143 (2009) measure a zirconium hybrid whose shrinkage follows the dose and is remarkably low well "
+    "above threshold, and state no figure for other resists",
+    "8-bit dose, 256 levels (EPFL Center of MicroNanoTechnology, Grayscale lithography); judged "
+    "default: a laser spot of 1 micrometre is 0.4 sigma; depth over dose is not linear and is "
+    "calibrated (Micromachines 8, 314 (2017))",
+    "the insert is diamond turned; PMMA shrinks by 0.2 to 0.6 percent in the mould (International "
+    "Journal of Polymer Science 2013, 610132, table 2); judged default: 0.4 percent, their middle",
+    "layers of 25 micrometres, as in the limits; judged default: 1 percent of each length after "
+    "printing; no figure of a maker of resins was found, users report parts within about 1 percent "
+    "(forum.formlabs.com) and cubes of 35 millimetres that come out 34.8 long (J. Mrazek, "
+    "blog.honzamrazek.cz, 2022)",
 )
 
 _WORKS: dict[str, tuple[str, ...]] = {
@@ -245,15 +248,15 @@ TOLERANCE_CLASSES: Final[Mapping[str, ToleranceClass]] = {
         (
             "two-photon",
             {"decentre": ["0 um", "1 um"], "radius": 0.01, "roughness": "15 nm"},
-            "roughness: Gissibl et al., Nature Photonics 10, 554 (2016), rms below 15 nm;"
-            " radius and decentre: typical shop data, no document found that states them",
+            "roughness: rms below 15 nm, cited from Gissibl et al., Nature Photonics 10, 554 (2016), whose"
+            " text was not checked; judged defaults: radius and decentre, no document states them",
         ),
         (
             "resin",
             {"decentre": ["0 um", "50 um"], "radius": 0.0025, "thickness": "200 um"},
             "radius: Forge Labs, Stereolithography Design Guide (undated), 0.25 % of a dimension; thickness:"
             " Additive3D Asia, What Tolerance Can SLA 3D Printing Achieve (undated), 0.2 mm of 100 mm;"
-            " decentre: a pixel of the profile sla",
+            " judged default: decentre, a pixel of the profile sla",
         ),
     )
 }

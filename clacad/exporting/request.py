@@ -92,6 +92,7 @@ class Request:
     fused : One solid a connected piece in STEP (`step` is then "fused") and one mesh a body in 3MF and GLB,
         which otherwise repeat one cell of a uniform sheet without border.
     compensation : Of the process of the design; the export fills it in.
+    as_made : Light through the sheet as its process makes it, for the manifest; None: not requested.
     """
 
     formats: tuple[str, ...] = _declared(
@@ -207,6 +208,7 @@ class Request:
     )
 
     compensation: Compensation | None = None
+    as_made: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         """Apply `fused` to the STEP mode. Raises BadRequest: Fused and instanced are requested together."""
@@ -230,7 +232,8 @@ class Request:
         rare["cell"] = None if self.cell is None else list(self.cell)
         asked = {name: value for name, value in rare.items() if value != getattr(DEFAULTS, name)}
         roles = {"role": {name: str(role) for name, role in self.role.items()}} if self.role else {}
-        return plain | asked | roles
+        made = {} if self.as_made is None else {"as_made": dict(self.as_made)}
+        return plain | asked | roles | made
 
 
 class MoreOptions(TypedDict, total=False):

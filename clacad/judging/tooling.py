@@ -139,7 +139,7 @@ def _light(
     like = one.like.faces[window.number_of(face)]
     made, step = _made(one.like, like, of, points, one.index, compensation)
     through = made_bodies(one.like, like, one.index, made, step)
-    what = f"form of the part that it makes ({of.label}; the other faces as designed)"
+    what = f"form of the part that it makes, without roundings and texture ({of.label}; the rest as designed)"
     return light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)
 
 
@@ -158,13 +158,16 @@ def _made(
     insert = of.window.bodies[0].name == of.label  # the steel is named after its face
     turned = insert and face.side < 0
     flipped = -1.0 if turned else 1.0
-    fit, half = _form(of, points, _cell_of_file(of, cell, turned))
+    middle = _cell_of_file(of, cell, turned)
+    index, _, _ = of.window.locate(of.face.array or 0, middle[:1], middle[1:])
+    own = of.window.in_cell(of.face, index[0])
+    fit, half = _form(of, points, middle)
     grow = np.array(growth(compensation.shrinkage))
     tile = window.lattice_of(face.array or 0).tile()
     reach = np.abs(tile).max(axis=0)
     x, y = np.meshgrid(*(np.linspace(-r, r, GRID) for r in reach))
     u, v = x.ravel() * grow[0], flipped * y.ravel() * grow[1]
-    height = face_height(of.window, of.face, u, v) + fit(u, v) - of.face.vertex[2]
+    height = face_height(of.window, own, u, v) + fit(u, v) - own.vertex[2]
     outward = -height if insert else -of.face.side * height
     sunk = compensation.sink * (1.0 - (u / half[0]) ** 2) * (1.0 - (v / half[1]) ** 2)
     raised = compensation.sink  # heights are counted from the apex of the bent lens

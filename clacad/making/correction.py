@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite
@@ -22,27 +22,33 @@ import numpy as np
 from clacad.base.text import percent_text, printable
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
+from clacad.config.mistakes import DesignError
 from clacad.design.process import process_of
 from clacad.formats.maps.dose import Calibration, read_calibration
 from clacad.making.texture import level_step, step_rms
 from clacad.measuring.find_lattice import Found
 from clacad.measuring.fit_lenslets import Aperture, conic, fit_heights, pooled_form, shrunk
+from clacad.measuring.form_and_seams import Surface
 from clacad.measuring.light_through_form import law_rms_of_form
 from clacad.measuring.measure import Maps, fitted_sides
 from clacad.measuring.measured import NUMBERS
 from clacad.measuring.read_map import MeasuredMap, read_map
 from clacad.measuring.scales import HEIGHTS, Scale, Stated
-from clacad.measuring.sides import Name, Side, sides_of
-from clacad.optics.fit import legendre
+from clacad.measuring.sides import AXES, OTHER, Name, Side, sides_of
+from clacad.optics.fit import legendre, nearest_polynomial
+from clacad.prescription.bodies import face_spec, given_design
 from clacad.prescription.prescribe import prescribe
 from clacad.storage.atomic import canonical_json, file_hash, write_set
-from clacad.storage.errors import BadRequest
+from clacad.storage.errors import BadRequest, NotPossible
 
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.sheet.window import Window
 
 FORMAT = 1
+NEXT = "next.toml"
+"""Name of the design whose faces are the commands."""
+
 NODES = 128
 """Heights of a command along each side of the box around a cell; the next cell begins after the last."""
 
@@ -135,6 +141,55 @@ class Correction:
             "notes": list(self.notes),
         }
 
+    def added(self) -> Floats:
+        """Command less the design (128, 128), length, of every cell; NaN off the cell."""
+        return np.asarray(self.heights - _designed(self._side))
+
+    def next_design(self, others: Sequence[Correction] = ()) -> tuple[Design, Floats]:
+        """Design whose faces are the commands, and what they leave of this side's, (128, 128) lengths.
+
+        Each face is the nearest even polynomial: radii, conic constants as before, terms a4, a6, a8. The
+        height of its apex is no part of a command.
+
+        others : Correction of the other side, where it has one.
+
+        Raises NotPossible: Cells of their own, tilted lenses, or faces that no design file lists.
+        """
+        window = prescribe(self.design)
+        if not (window.uniform and all(face.untilted for face in window.faces)):
+            raise NotPossible(
+                f"no next design: {self.design.name} has lenses of its own in each cell, or tilted ones; the"
+                " command of each is its own design plus the added form (added-*.npy)"
+            )
+        found = [face.surface for face in window.faces]
+        rest = np.full((NODES, NODES), np.nan)
+        for one in (*others, self):
+            side = one._side
+            (u, v), heights = places(side), one.heights.ravel()
+            held = np.isfinite(heights)
+            x, y = (sign * w[held] - at for sign, w, at in zip(side.signs, (u, v), side.face.vertex))
+            z = -side.face.side * heights[held]
+            fitted, rise, _ = nearest_polynomial(side.face.surface, x, y, z)
+            found[side.number] = fitted
+            rest = np.full((NODES, NODES), np.nan)
+            rest.ravel()[held] = heights[held] + side.face.side * (fitted.sag(x, y) + rise)
+        offset = window.faces[-1].vertex[:2]
+        try:
+            faces = tuple(face_spec(one) for one in found)
+            design = given_design(self.design, window, faces, offset if any(offset) else None)
+        except DesignError as error:
+            raise NotPossible(f"no next design: {str(error).splitlines()[0]}") from error
+        return design, rest
+
+    @cached_property
+    def no_next_design(self) -> str:
+        """Why no design file can hold the command; "" where one can."""
+        try:
+            self.next_design()
+        except NotPossible as error:
+            return str(error)
+        return ""
+
     def dose(self, calibration: str | os.PathLike[str] | None = None) -> Ints:
         """Levels (128, 128) of the command for greyscale exposure, 0 to 255; 0 outside the cell.
 
@@ -157,30 +212,43 @@ class Correction:
     ) -> list[Path]:
         """Write the command as a height map (NPY, JSON) and the state of the loop; return their paths.
 
-        For greyscale also the levels of its dose, a PNG whose first row has the largest y. Files of an
-        earlier round of the same side are replaced.
+        Next to it the form that is added to the design of every cell and, where a design file can hold the
+        commands of all corrected sides, `next.toml` and what its face leaves of the command. For greyscale
+        also the levels of its dose, a PNG whose first row has the largest y. Files of an earlier round of the
+        same side are replaced.
 
         Raises CannotWrite, ExportRefused; BadRequest, UnreadableFile: As `dose`.
         """
         state, command = _names(self.side)
-        data = io.BytesIO()
-        np.save(data, self.heights, allow_pickle=False)
         scale = millimetres(self.design.unit_m)
         steps = _box(self._side) / NODES * scale
         scales = {"pixel_mm": steps.tolist(), "z_step_mm": scale, "z_at_0_mm": 0.0, "row_0": "bottom"}
-        contents: dict[str, str | bytes] = {
-            command: data.getvalue(),
-            f"{command}.json": json.dumps(scales, indent=1, sort_keys=True) + "\n",
-            state: canonical_json(self.to_dict()),
-        }
+        maps = {command: self.heights, f"added-{self.side}.npy": self.added()}
+        contents: dict[str, str | bytes] = {command: _npy(self.heights)}
+        if not self.no_next_design:
+            design, maps[f"rest-{self.side}.npy"] = self.next_design(self._other(folder))
+            contents[NEXT] = design.canonical_toml()
+        for name, heights in maps.items():
+            contents[name] = _npy(heights)
+            contents[f"{name}.json"] = json.dumps(scales, indent=1, sort_keys=True) + "\n"
+        contents[state] = canonical_json(self.to_dict())
         if self.design.check.process == "greyscale" or calibration is not None:
             from PIL import Image
 
             picture = io.BytesIO()
             Image.fromarray(self.dose(calibration)[::-1].astype(np.uint8)).save(picture, "PNG")
             contents[f"dose-{self.side}.png"] = picture.getvalue()
-        write_set(folder, contents, overwrite=overwrite, replace=lambda path: _ours(path.parent / state))
+        known = [path for path in (Path(folder) / _names(side)[0] for side in AXES) if _ours(path)]
+        write_set(folder, contents, overwrite=overwrite, replace=lambda _path: bool(known))
         return [Path(folder) / name for name in contents]
+
+    def _other(self, folder: str | os.PathLike[str]) -> list[Correction]:
+        """Correction of the other side in a folder, of the same design."""
+        other = OTHER[self.side]
+        side = _side(prescribe(self.design), other, self.design.unit_m)
+        if not (Path(folder) / _names(other)[0]).exists():
+            return []
+        return [_previous(self.design, other, folder, side)]
 
 
 def correct(
@@ -288,6 +356,8 @@ def _notes(design: Design, side: Side, heights: Scale) -> Iterator[str]:
         yield "the scale of heights is not known: one round only (--z-scale, --tilted)"
     elif heights.half > 1e-3:
         yield f"the loop ends at the error of the scale of heights, {percent_text(heights.half, 2)}"
+    if not side.alike:
+        yield "every lenslet is compared with its own cell; the form that all of them share is corrected"
     process = process_of(design)
     step = process.layer or level_step(process, side.sag * design.unit_m)
     if step:
@@ -384,7 +454,20 @@ def _deviation(
     held = number >= 0
     u, v, z = u[held], v[held], z[held]
     facts = {"file": one.measured.name, "law_rms": rms if isfinite(rms) else None}
-    return (u, v, z - side.target(u, v), max(one.measured.pixel)), heights, facts
+    return (u, v, z - _wished(one, number[held], u, v), max(one.measured.pixel)), heights, facts
+
+
+def _wished(of: Surface, number: Ints, u: Floats, v: Floats) -> Floats:
+    """Designed heights (n,) over places in the cells of lenslets `number`, each of its own cell."""
+    side = of.lit.side
+    if side.alike:
+        return side.outward(u, v)
+    found = np.empty(len(u))
+    cells = of.lit.cells.of(of.lenslets.index)
+    for k in np.unique(number):
+        here = number == k
+        found[here] = side.heights(cells[k], u[here], v[here])
+    return found
 
 
 def _of_deviation_map(design: Design, side: Side, path: Path) -> tuple[Points, Scale, dict[str, Any]]:
@@ -421,7 +504,7 @@ def _levelled(
     for _ in range(4):
         cell = np.rint(lattice.index(place[0], place[1])).astype(np.int64)
         u, v = axes.T @ (place - lattice.centres(cell.T).T)
-        height = plane[0] + plane[1:] @ place + side.target(u, v) + off
+        height = plane[0] + plane[1:] @ place + side.outward(u, v) + off
         seen = level.T @ np.vstack([place, height])
         place = place + np.stack([x, y]) - seen[:2]
     return u, v
@@ -437,6 +520,12 @@ def _read_json(path: Path) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise BadRequest(f"{path.name}: not a JSON object")
     return found
+
+
+def _npy(heights: Floats) -> bytes:
+    data = io.BytesIO()
+    np.save(data, heights, allow_pickle=False)
+    return data.getvalue()
 
 
 # -- state of the loop ---------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import sqrt
+from pathlib import Path
 
 import numpy as np
 
@@ -340,42 +341,32 @@ class MadeSurface:
 
 
 def read_curve(path: str) -> Callable[[Floats, int], Floats]:
-    """Made depth (metres) over the share of the deepest requested depth, from a table of level and depth.
+    """Made depth (metres) over the share of the deepest requested depth, from a calibration.
 
     Parameters
     ----------
     path : str
-        CSV: a level and a depth a line, both increasing; the depth in micrometres. A first line of words is
-        skipped. The deepest requested depth is written at the last level.
+        CSV of `clacad calibrate`. The deepest requested depth is written at the last level.
 
     Raises
     ------
     NotPossible
-        The table cannot be read, or does not increase.
+        There is no such file.
+    UnreadableFile, OverBudget
+        As `clacad.formats.maps.dose.read_calibration`.
     """
     from scipy.interpolate import PchipInterpolator
 
-    rows: list[list[float]] = []
+    from clacad.formats.maps.dose import read_calibration
+
     try:
-        with open(path, encoding="utf-8") as lines:
-            for number, line in enumerate(lines, 1):
-                words = line.replace(";", ",").strip().split(",")
-                try:
-                    rows.append([float(words[0]), float(words[1])])
-                except (ValueError, IndexError):
-                    if rows or number > 5:
-                        raise NotPossible(
-                            f"{path}:{number}: {line.strip()[:60]!r} is no level and depth in micrometres"
-                        ) from None
-    except (OSError, UnicodeDecodeError) as error:
+        table = read_calibration(Path(path))
+    except OSError as error:
         raise NotPossible(f"{path}: process.curve cannot be read: {error}") from None
-    table = np.array(rows).reshape(-1, 2)
-    if len(table) < 2 or not np.isfinite(table).all() or not (np.diff(table, axis=0) > 0.0).all():
-        raise NotPossible(
-            f"{path}: process.curve needs two lines and more, levels and depths both increasing"
-        )
-    level = (table[:, 0] - table[0, 0]) / (table[-1, 0] - table[0, 0])
-    found: Callable[[Floats, int], Floats] = PchipInterpolator(level, 1e-6 * (table[:, 1] - table[0, 1]))
+    first, last = table.levels[0], table.levels[-1]
+    found: Callable[[Floats, int], Floats] = PchipInterpolator(
+        (table.levels - first) / (last - first), table.depths - table.depths[0]
+    )
     return found
 
 

@@ -91,10 +91,6 @@ class Side:
         """
         return _outward(self.face, u, v)
 
-    def target(self, u: Floats, v: Floats) -> Floats:
-        """Height (n,) as `outward`."""
-        return self.outward(u, v)
-
     def cell(self, index: Ints) -> Ints:
         """Steps (m, 2) of the sheet's lattice for steps (m, 2) of the map's."""
         own, base = self.lattice, self.window.lattice_of(self.array)

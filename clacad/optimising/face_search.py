@@ -31,13 +31,12 @@ from clacad.optimising.scan_light import SCAN_MARGIN, ScanLight
 from clacad.optimising.unknowns import (
     ListedUnknowns,
     Unknowns,
-    given_design,
     refused,
     trial_design,
     with_faces,
     with_listed,
 )
-from clacad.prescription.bodies import given_conics
+from clacad.prescription.bodies import given_conics, given_design
 from clacad.sheet.feasibility.convex_extremes import outline
 from clacad.sheet.moved_plates import paraxial_exit
 from clacad.sheet.window import Body, Face, Window, in_optical_tile, lens_height_and_normal, optical_tile

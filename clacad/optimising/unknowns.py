@@ -23,10 +23,9 @@ from clacad.base.types import Floats
 from clacad.base.units import MONOMIALS, POWER
 from clacad.config.mistakes import DesignError, Mistake
 from clacad.config.value_kinds import shown
-from clacad.design.faces import AIR, FaceSpec, SearchRecord, face_table, vertices_of
-from clacad.design.sections import OF_RECIPES
-from clacad.optics.surface import EvenPolynomial, Quadric, Surface
-from clacad.prescription.bodies import given_conics, given_surface
+from clacad.design.faces import AIR, FaceSpec, vertices_of
+from clacad.optics.surface import Quadric, Surface
+from clacad.prescription.bodies import face_spec, given_surface, radius_of
 from clacad.sheet.window import Body, Face, Window
 
 if TYPE_CHECKING:
@@ -103,7 +102,7 @@ class Unknowns:
         if self.ellipsoids:
             conic = [_ellipsoid(c, k) for c, k in zip(curvature, conic, strict=True)]
         made = tuple(
-            FaceSpec((_radius(c[0]), _radius(c[1])), (k[0], k[1]), a4, a6, a8)
+            FaceSpec((radius_of(c[0]), radius_of(c[1])), (k[0], k[1]), a4, a6, a8)
             for c, k, a4, a6, a8 in zip(
                 curvature, conic, *(map(tuple, rows) for rows in terms.values()), strict=True
             )
@@ -128,10 +127,6 @@ def slope_of(order: str, half: float) -> float:
     return float((power + 1.0) * half**power)
 
 
-def _radius(curvature: float) -> float:
-    return 1.0 / curvature if curvature else inf
-
-
 def _ellipsoid(curvature: list[float], conic: list[float]) -> list[float]:
     """Conic constants with one κ for both meridians; unchanged where the curvatures have opposite signs."""
     cx, cy = curvature
@@ -147,7 +142,7 @@ def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
     Raises DesignError: A word is unknown, may never be free, or does not apply to this form.
     """
     _refuse(window, words)
-    faces = tuple(_spec(face.surface) for face in window.faces)
+    faces = tuple(face_spec(face.surface) for face in window.faces)
     lenses = [k for k, face in enumerate(window.faces) if face.array in (0, 1)]
     bent = "bending" in words
     groups = _groups(window, lenses, bent=bent)
@@ -269,45 +264,12 @@ def _refuse(window: Window, words: tuple[str, ...]) -> None:
             raise refused(need.code, message, "free", found=need.word, allowed=need.allowed, hint=need.hint)
 
 
-def _spec(surface: Surface) -> FaceSpec:
-    """Face specification of a surface."""
-    cx, cy = surface.curvature_x, surface.curvature_y
-    if cx == cy == 0.0 and not isinstance(surface, EvenPolynomial):
-        return FaceSpec((inf, inf))
-    terms = (surface.a4, surface.a6, surface.a8) if isinstance(surface, EvenPolynomial) else ()
-    return FaceSpec((_radius(cx), _radius(cy)), given_conics(surface), *terms)
-
-
 def _ellipsoidal(surface: Surface) -> bool:
     """Whether a face is the ellipsoid that recipes build: one κ, the geometric mean; a plane is, too."""
     if not isinstance(surface, Quadric):
         return False
     cx, cy = surface.curvature_x, surface.curvature_y
     return cx * cy >= 0.0 and abs(abs(surface.kappa) - sqrt(cx * cy)) <= 1e-9 * (abs(cx) + abs(cy))
-
-
-def given_design(
-    design: Design,
-    window: Window,
-    faces: tuple[FaceSpec, ...],
-    offset: tuple[float, float] | None,
-    record: SearchRecord | None = None,
-) -> Design:
-    """Design with these faces and all values that its window fixed, checked as a design file is."""
-    from clacad.design import Design
-
-    data = {key: dict(value) if isinstance(value, Mapping) else value for key, value in design.given.items()}
-    pair = {key: value for key, value in data["pair"].items() if key not in (*OF_RECIPES, "search")}
-    if design.pair.form not in ("slab", "plates"):
-        pair["thickness"] = list(window.recipe["T"])
-    if offset is not None:
-        pair["vertex"] = list(offset)
-    if design.pair.form != "plates":
-        pair["prescription"] = "given"
-    pair["face"] = [face_table(face) for face in faces]
-    if record is not None:
-        pair["search"] = record.to_dict()
-    return Design.from_dict({**data, "pair": pair})
 
 
 def trial_design(

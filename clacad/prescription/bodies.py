@@ -7,7 +7,7 @@ is given too.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import asin, copysign, inf, isinf, sqrt
@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
-from clacad.design.faces import FaceSpec
-from clacad.design.sections import LAW, AimedAt, PairSpec
+from clacad.design.faces import FaceSpec, SearchRecord, face_table
+from clacad.design.sections import LAW, OF_RECIPES, AimedAt, PairSpec
 from clacad.optics.law import Law, rotation
 from clacad.optics.sequence import STEP, parabasal
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, refract, simplest
@@ -27,6 +27,7 @@ from clacad.sheet.like_cell import interfaces
 from clacad.sheet.window import IDENTITY, Body, Face, Surface, Window
 
 if TYPE_CHECKING:
+    from clacad.design import Design
     from clacad.optics.material.material import Material
 
 # -- faces -----------------------------------------------------------------------------------------
@@ -96,6 +97,44 @@ def given_conics(surface: Surface) -> Pair2:
         return surface.conic_x, surface.conic_y
     k = [surface.kappa / c - 1.0 if c else -1.0 for c in (surface.curvature_x, surface.curvature_y)]
     return k[0], k[1]
+
+
+def radius_of(curvature: float) -> float:
+    """Apex radius; infinite where flat."""
+    return 1.0 / curvature if curvature else inf
+
+
+def face_spec(surface: Surface) -> FaceSpec:
+    """Face specification of a surface."""
+    cx, cy = surface.curvature_x, surface.curvature_y
+    if cx == cy == 0.0 and not isinstance(surface, EvenPolynomial):
+        return FaceSpec((inf, inf))
+    terms = (surface.a4, surface.a6, surface.a8) if isinstance(surface, EvenPolynomial) else ()
+    return FaceSpec((radius_of(cx), radius_of(cy)), given_conics(surface), *terms)
+
+
+def given_design(
+    design: Design,
+    window: Window,
+    faces: tuple[FaceSpec, ...],
+    offset: tuple[float, float] | None,
+    record: SearchRecord | None = None,
+) -> Design:
+    """Design with these faces and all values that its window fixed, checked as a design file is."""
+    from clacad.design import Design
+
+    data = {key: dict(value) if isinstance(value, Mapping) else value for key, value in design.given.items()}
+    pair = {key: value for key, value in data["pair"].items() if key not in (*OF_RECIPES, "search")}
+    if design.pair.form not in ("slab", "plates"):
+        pair["thickness"] = list(window.recipe["T"])
+    if offset is not None:
+        pair["vertex"] = list(offset)
+    if design.pair.form != "plates":
+        pair["prescription"] = "given"
+    pair["face"] = [face_table(face) for face in faces]
+    if record is not None:
+        pair["search"] = record.to_dict()
+    return Design.from_dict({**data, "pair": pair})
 
 
 def refuse_crossed(pair: PairSpec) -> None:

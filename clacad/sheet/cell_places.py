@@ -231,6 +231,19 @@ class VertexChange:
         (a, b), (c, d) = self.slope, self.climb
         return replace(self, slope=(-a, -b), climb=(-c, -d), lift=None if self.lift is None else -self.lift)
 
+    @property
+    def turned(self) -> VertexChange:
+        """Displacements of the lenses of a sheet turned by 180 degrees about x, whose rows change places."""
+        (xx, xy), (yx, yy) = self.gradient
+        (a, b), (c, d) = self.slope, self.climb
+        return VertexChange(
+            ((xx, 0.0 - xy), (0.0 - yx, yy)),
+            None if self.table is None else self.table[:, ::-1] * np.array([1.0, -1.0]),
+            (0.0 - a, b),
+            None if self.size is None else self.size[:, ::-1],
+            (0.0 - c, d),
+        )
+
     def rise(self, lattice: Lattice, index: Ints, moved: Floats) -> Floats:
         """Rise in z (...), lengths, of the lenses of cells `index` (..., 2), displaced by `moved` (..., 2),
         lengths.

@@ -22,6 +22,7 @@ from clacad.base.units import A4, A6, A8
 from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface
 from clacad.sheet.cell_places import CellPlacement, VertexChange
 from clacad.sheet.lattice import Circle, Lattice, Outline, Rectangle
+from clacad.sheet.plate import Hole, Plate
 from clacad.sheet.window import PLANE, Body, Face, Window
 
 Three = tuple[float, float, float]
@@ -165,11 +166,24 @@ def _grown_place(place: CellPlacement, size: Three) -> CellPlacement:
 def _grown_outline(outline: Outline | None, size: Three) -> Outline | None:
     if outline is None or isinstance(outline, Rectangle):
         return None if outline is None else Rectangle(outline.width * size[0], outline.height * size[1])
-    if isinstance(outline, Circle) and size[0] == size[1]:
-        return Circle(outline.diameter * size[0])
+    if size[0] == size[1]:
+        return Circle(outline.diameter * size[0]) if isinstance(outline, Circle) else _sized(outline, size[0])
     what = "round" if isinstance(outline, Circle) else "drawn"
     raise CannotShrink(
-        f"a {what} outline is not scaled by {size[0]:g} and {size[1]:g}; use a rectangular one"
+        f"a {what} outline is not scaled by {size[0]:g} and {size[1]:g}; use a rectangular one, or one"
+        " shrinkage along x and y"
+    )
+
+
+def _sized(plate: Plate, size: float) -> Plate:
+    """The plate larger by `size` about the origin."""
+    x, y = plate.moved
+    return Plate(
+        tuple((x * size, y * size, bulge) for x, y, bulge in plate.vertices),
+        tuple(Hole(h.x * size, h.y * size, h.diameter * size, h.purpose, h.play * size) for h in plate.holes),
+        (x * size, y * size),
+        None if plate.pitch is None else (plate.pitch[0] * size, plate.pitch[1] * size),
+        plate.turn,
     )
 
 
@@ -253,8 +267,10 @@ def insert_window(
         cut = cut.seen_from_behind
         placements = whole.placements
     else:
-        _refuse_turned(whole, cut, label)
+        _refuse_turned(whole)
         cut = _turned(cut).seen_from_behind
+        lattice = replace(whole.lattice, outline=_turned_outline(whole.lattice.outline))
+        whole = replace(whole, lattice=lattice, outline=_turned_outline(whole.outline))
         placements = tuple(
             replace(place, shift=(place.shift[0], 0.0 - place.shift[1]), turn=0.0 - place.turn)
             for place in whole.placements
@@ -278,15 +294,26 @@ def _turned(face: Face) -> Face:
         vertex=(x, 0.0 - y, 0.0 - z),
         rotation=rotation,
         land=None if face.land is None else 0.0 - face.land,
+        change=None if face.change is None else face.change.turned,
     )
 
 
-def _refuse_turned(window: Window, face: Face, label: str) -> None:
+def _turned_outline(outline: Outline | None) -> Outline | None:
+    """An outline turned by 180 degrees about x."""
+    if not isinstance(outline, Plate):
+        return outline
+    corners = outline.vertices
+    # a side keeps its bulge: the mirror image changes its sign, and so does running it backwards
+    back = reversed(list(enumerate(corners)))
+    vertices = tuple((x, 0.0 - y, corners[k - 1][2]) for k, (x, y, _) in back)
+    holes = tuple(replace(one, y=0.0 - one.y) for one in outline.holes)
+    return Plate(
+        vertices, holes, (outline.moved[0], 0.0 - outline.moved[1]), outline.pitch, 0.0 - outline.turn
+    )
+
+
+def _refuse_turned(window: Window) -> None:
     """Refuse sheets whose cells do not lie on those of the sheet turned about x."""
-    if face.change is not None:
-        raise CannotShrink(
-            f"insert: every lenslet of {label} is another; only front faces of such sheets are turned"
-        )
     if window.lattice.hexagonal and window.lattice.count[1] % 2 == 0:
         raise CannotShrink(
             f"insert: {window.lattice.count[1]} rows of hexagonal cells do not lie on themselves when turned"

@@ -14,6 +14,7 @@ from clacad.formats.maps.dose import BYTE, WORD, Calibration, Coupon
 from clacad.formats.maps.tool_path import ToolFace, tool_face
 from clacad.optics.surface import Quadric, conic_constants
 from clacad.sheet.shrunk import CannotShrink, cavity_point, growth, insert_window, made_points
+from clacad.sheet.window import face_height
 from clacad.storage.errors import BadRequest, NotPossible
 
 DATA = Path(__file__).parents[1] / "data" / "workshop"
@@ -67,6 +68,32 @@ def test_inserts_are_those_of_the_reference(sheet, case, side) -> None:
         assert abs(float(height) - insert[2]) < ROOM
         back = made_points(insert, shrinkage, front=False)  # and the process makes the part of it
         assert np.abs(back - part).max() < ROOM
+
+
+NOT_UNIFORM = {
+    "aimed": ["lattice.aperture = {point = [30, 70, -600]}"],
+    "of their own law": ['law.varying = {f_image = "200 mm"}'],
+    "drawn": ["lattice.outline = {polygon = [[-1.6, -1.1], [1.9, -1.4], [1.6, 1.3], [-0.3, 1.6]]}"],
+}
+
+
+@pytest.mark.parametrize("keys", NOT_UNIFORM.values(), ids=NOT_UNIFORM)
+@pytest.mark.parametrize("shrinkage", [(0.0, 0.0, 0.0), (0.006, 0.006, 0.004)])
+def test_every_lenslet_of_a_back_lies_where_the_insert_moulds_it(keys, shrinkage) -> None:
+    """Points of the sheet, over 1 - s and turned about x, against the heights of the steel in its own cells."""
+    part = clacad.prescribe(clacad.load("window-100mm", ["lattice.count = [8, 8]", *keys]))
+    face = part.bodies[0].back
+    steel = insert_window(part, face, "back", shrinkage)
+    x, y = np.random.default_rng(3).uniform(-1.8, 1.8, (2, 4000))
+    index, u, v = part.locate(face.array, x, y)
+    held = part.lattice.contains(index)
+    z = face_height(part, face, u, v, index) - face.vertex[2]
+    _, insert = cavity_point(np.stack([x, y, z], axis=1), shrinkage)
+    there, a, b = steel.locate(face.array, *insert[:, :2].T)
+    assert (steel.lattice.contains(there) == held).all()
+    assert 500 < held.sum()
+    found = face_height(steel, steel.bodies[0].back, a, b, there)
+    assert np.abs(found - insert[:, 2])[held].max() < ROOM
 
 
 @pytest.mark.parametrize("case", golden("tool")["cases"], ids=lambda case: case["nose"])

@@ -491,6 +491,25 @@ def test_check_prints_the_sheet_as_made(capsys, tmp_path):
     assert any("process.nose costs most light" in one for one in told["as_made"]["advice"])
 
 
+def test_a_manifest_records_the_light_of_the_sheet_as_made(tmp_path, capsys):
+    path = tmp_path / "window.toml"
+    path.write_text(
+        clacad.load("window-100mm", ["lattice.count = [4, 4]"]).canonical_toml(), encoding="utf-8"
+    )
+    words = ["--as-made", "--process", "diamond-turning", "--set", "process.nose=200 um"]
+    assert main(["export", str(path), "-o", str(tmp_path / "out"), "--format", "table", *words]) == 0
+    printed = capsys.readouterr()
+    assert "made_seam" in printed.err
+    assert "'process.nose=200 um'" in printed.out.replace("\\\n", "")  # verify judges the same process
+    manifest = json.loads((tmp_path / "out" / "manifest.json").read_text(encoding="utf-8"))
+    [made] = [one["as_made"] for one in manifest.values() if isinstance(one, dict) and "as_made" in one]
+    design = clacad.load(path, ["process.nose = 200 um", 'check.process = "diamond-turning"'])
+    wanted = light_as_made(design, clacad.prescribe(design))
+    assert made["process"]["nose"] == 200e-6
+    assert (made["formed"], made["everything"]) == (wanted.formed, wanted.everything)
+    assert made["everything"] > 10 * made["designed"]
+
+
 @pytest.mark.slow
 def test_verify_reports_the_sheet_as_made(tmp_path, capsys):
     path = tmp_path / "window.toml"
