@@ -24,8 +24,8 @@ from clacad.exporting import limits
 from clacad.exporting.compensation import compensation_of, nose_of
 from clacad.exporting.forecast import PREPARE, forecast, prepare_seconds
 from clacad.exporting.formats.format import Forecast, cell_words
+from clacad.exporting.formats.height_maps import CELL_TABLE
 from clacad.exporting.formats.registry import format_of, known
-from clacad.exporting.formats.table import CELL_TABLE
 from clacad.exporting.light_forecast import Grader
 from clacad.exporting.limits import Refusals, refuse_idle, require_possible
 from clacad.exporting.manifest import FileRecord, Job, Manifest, carried_over, document
@@ -83,9 +83,7 @@ CAD_MODULES = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
 def run_export(design: Design, out: str, request: Request, progress: Progress | None) -> Manifest:
     """Do what `clacad.exporting.run.export` promises."""
     report = shown_progress(progress)
-    asked, formats, request = request, _formats(request), _of_process(design, request)
-    made = design if request.cells is None else design.with_cells(request.cells)
-    _refuse_by_count(made, formats, request)
+    asked, (made, formats, request) = request, _begun(design, request)
     began, used = time.monotonic(), time.process_time()
     with ended_by_signals(), Worker(memory=worker_memory(), preload=CAD_MODULES) as worker:
         if any(format_of(name).kernel for name in formats):
@@ -135,9 +133,7 @@ def forecast_rows(design: Design, request: Request, out: Path | None = None) -> 
     Raises DesignError, NotPossible, LimitRefused, CannotBuild: The refusals of all formats together.
     Raises CannotWrite: The folder cannot be made or written to.
     """
-    made = design if request.cells is None else design.with_cells(request.cells)
-    formats, request = _formats(request), _of_process(design, request)
-    _refuse_by_count(made, formats, request)
+    made, formats, request = _begun(design, request)
     meshes = Meshes(_prescribed(made, request), request.saddle_bevel, request.fused)
     if out is None:
         return _forecast(made, meshes, formats, request, None)
@@ -150,37 +146,31 @@ def refuse_impossible(design: Design, request: Request) -> None:
 
     Raises DesignError, NotPossible, LimitRefused, CannotBuild: The refusals of all formats together.
     """
-    made = design if request.cells is None else design.with_cells(request.cells)
-    formats, request = _formats(request), _of_process(design, request)
-    _refuse_by_count(made, formats, request)
+    made, formats, request = _begun(design, request)
     with ended_by_signals(), Worker(memory=worker_memory()) as worker:
         _impossible(made, _prescribed(made, request), formats, request, worker).complete()
 
 
-def _formats(request: Request) -> tuple[str, ...]:
-    """Requested formats, all known and none with an option that it lacks."""
-    formats = known(request.formats)
+def _begun(design: Design, request: Request) -> tuple[Design, tuple[str, ...], Request]:
+    """The design with the cells to be written, the requested formats, all known and none with an option that
+    it lacks, and the request with the nose and the compensation of the design's process.
+
+    Formats are refused by the number of lenslets alone, before the design is prescribed.
+    """
+    formats, refused = known(request.formats), Refusals()
     refuse_idle(request)
-    return formats
-
-
-def _of_process(design: Design, request: Request) -> Request:
-    """The request with the compensation for the design's process, and its nose where none is requested."""
     nose = nose_of(design) if request.nose is None else request.nose
-    return replace(request, nose=nose, compensation=compensation_of(design))
-
-
-def _refuse_by_count(design: Design, formats: tuple[str, ...], request: Request) -> None:
-    """Refuse formats by the number of lenslets alone, before the design is prescribed."""
+    asked = replace(request, nose=nose, compensation=compensation_of(design))
+    made = design if request.cells is None else design.with_cells(request.cells)
     if request.force:
-        return
-    limits.refuse_uncountable(design)
-    refused = Refusals()
+        return made, formats, asked
+    limits.refuse_uncountable(made)
     for name in formats:
         with refused.of(name):
-            limits.refuse_early(design, (name,), request.quads)
+            limits.refuse_early(made, (name,), request.quads)
     if all(name in refused for name in formats):
         refused.complete()
+    return made, formats, asked
 
 
 def _impossible(

@@ -42,24 +42,23 @@ class Tessellation:
     @cached_property
     def mesh(self) -> Mesh:
         """Mesh of the whole sheet (its facets come as a stream)."""
-        from clacad.mesh import tessellate
-
-        return tessellate(self.window, quads=self.quads, saddle_bevel=self.saddle_bevel)
+        return self._of(self.window)
 
     @cached_property
     def cell(self) -> Mesh:
         """Mesh of one cell alone, which instanced formats repeat."""
-        from clacad.mesh import tessellate
-
-        return tessellate(one_cell(self.window), quads=self.quads, saddle_bevel=self.saddle_bevel)
+        return self._of(one_cell(self.window))
 
     @cached_property
     def single(self) -> Mesh:
         """Mesh of a sheet of one cell, border and outline included, where cells are not repeated."""
         need_equal_cells(self.window, "the mesh of one cell for all")
+        return self._of(self.window.with_cells((1, 1)))
+
+    def _of(self, window: Window) -> Mesh:
         from clacad.mesh import tessellate
 
-        return tessellate(self.window.with_cells((1, 1)), quads=self.quads, saddle_bevel=self.saddle_bevel)
+        return tessellate(window, quads=self.quads, saddle_bevel=self.saddle_bevel)
 
     def promise(self, instanced: bool, single: bool, bodies: Sequence[str] | None = None) -> Promise:
         """Expected properties of a file of this mesh, or of some of its bodies."""

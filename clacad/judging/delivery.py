@@ -18,8 +18,8 @@ from clacad.base.units import LENGTHS
 from clacad.checks.check import Check
 from clacad.checks.file_kinds import DESIGN, INTEGRITY, TABLE
 from clacad.design.cell_table import digest
+from clacad.exporting.formats.height_maps import CELL_TABLE
 from clacad.exporting.formats.registry import kind_ending, kind_of, kinds, without_optics
-from clacad.exporting.formats.table import CELL_TABLE
 from clacad.exporting.roles import WORDS, Role
 from clacad.storage.atomic import MANIFEST, file_hash, read_manifest
 from clacad.storage.errors import BadRequest

@@ -26,9 +26,9 @@ from clacad.checks.file_kinds import (
     VOLUME,
     unreadable,
 )
+from clacad.exporting.formats.height_maps import CELL_TABLE
 from clacad.exporting.formats.registry import kind_ending, kind_of, longest_wait, reading_worker
 from clacad.exporting.formats.step import WORD as STEP
-from clacad.exporting.formats.table import CELL_TABLE
 from clacad.exporting.formats.workshop import kind_named
 from clacad.exporting.roles import Role
 from clacad.judging.delivery import Delivery, Inspection, Subject, integrity, same_design, table_check

@@ -214,8 +214,6 @@ class TemplateMaker:
                 wedges.append(((offset, -1), _absent(self, state)))
         return wedges
 
-    # -- caps and inner walls -----------------------------------------------------------------
-
     # -- templates ----------------------------------------------------------------------------
 
     def template(self, states: NDArray[np.uint8]) -> Template:

@@ -1,4 +1,6 @@
-"""Heights of single faces: maps of pixels (TIFF, PNG), the sag grid of a cell, points with normals."""
+"""Heights of single faces: maps of pixels (TIFF, PNG), the sag grid of a cell, points with normals; and tables
+of the surfaces (JSON) and of the poses of all lenslets (CSV).
+"""
 
 from __future__ import annotations
 
@@ -8,6 +10,7 @@ from typing import TYPE_CHECKING
 from clacad.base.units import millimetres
 from clacad.exporting.formats.file_kind import (
     CALIBRATION,
+    FileKind,
     calibration_record,
     drawn_cost,
     map_kind,
@@ -15,7 +18,7 @@ from clacad.exporting.formats.file_kind import (
     structured_cost,
 )
 from clacad.exporting.formats.format import BASE, Forecast, Format
-from clacad.exporting.roles import ABOVE_FACE, AT_POINTS, SIXTEEN_BITS
+from clacad.exporting.roles import ABOVE_FACE, AT_POINTS, OWN_NUMBERS, SIXTEEN_BITS
 
 if TYPE_CHECKING:
     from clacad.exporting.manifest import FileRecord, Job
@@ -23,12 +26,19 @@ if TYPE_CHECKING:
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window
 
-SAG, TIFF, PNG, XYZ = "sag", "tiff", "png", "xyz"
+SAG, TIFF, PNG, XYZ, TABLE = "sag", "tiff", "png", "xyz", "table"
 TIFF32, TIFF16, PNG16, GRID, POINTS = "tiff32", "tiff16", "png16", "grid-sag", "xyz-normals"
+SURFACES, POSES = "surface-table", "pose-table"
 """Words of the files in manifests."""
+
+CELL_TABLE = "cell-table"
+"""Word of the copy of a design's cell table."""
 
 TIFF_SECONDS, PNG_SECONDS, XYZ_SECONDS = 4.4e-7, 2.2e-7, 1.3e-6
 """Seconds per pixel or point."""
+
+TABLE_SECONDS = 4e-8
+"""Seconds per hundredth of a lenslet."""
 
 
 # -- writing ---------------------------------------------------------------------------------------
@@ -88,6 +98,16 @@ def _write_xyz(job: Job) -> list[FileRecord]:
         check_points(job.window, face, path, job.scale, count)
         records.append(job.record(path, POINTS, bodies=[body.name], facts={"points": count}))
     return records
+
+
+def _write_table(job: Job) -> list[FileRecord]:
+    from clacad.formats.maps.pose_table import check_table, write_table_csv, write_table_json
+
+    surfaces, poses = job.stage.path(f"{job.stem}.surfaces.json"), job.stage.path(f"{job.stem}.poses.csv")
+    write_table_json(job.window, surfaces, job.scale)
+    count = write_table_csv(job.window, poses, job.scale)
+    check_table(job.window, surfaces, poses, job.scale, count)
+    return [job.record(surfaces, SURFACES), job.record(poses, POSES, facts={"lenslets": count})]
 
 
 # -- cost ------------------------------------------------------------------------------------------
@@ -170,6 +190,32 @@ def _xyz_bytes(window: Window, per_cell: int) -> int:
     return int(total)
 
 
+def _forecast_table(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
+    from clacad.formats.maps.sag import structured_faces
+
+    window = meshes.window
+    drawn = 100 * window.lattice.cell_count * len(structured_faces(window))
+    return map_row(TABLE, _table_bytes(window), BASE + TABLE_SECONDS * drawn)
+
+
+def _table_bytes(window: Window) -> int:
+    """Size of both files of the surface table: JSON generated in full, CSV from its first row of cells."""
+    import io
+
+    from clacad.formats.maps.pose_table import pose_lines, surface_table
+    from clacad.storage.atomic import canonical_json
+
+    total = float(len(canonical_json(surface_table(window, millimetres(window.unit)))))
+    row = window.lattice.row(window.lattice.count[1] // 2)
+    text = io.StringIO()
+    lines = 0
+    for line in pose_lines(window, millimetres(window.unit), [row]):
+        text.write(",".join(str(word) for word in line) + "\n")
+        lines += 1
+    faces = max(1, lines // max(1, len(row)))
+    return int(total + len(text.getvalue()) / max(1, lines) * window.lattice.cell_count * faces)
+
+
 FORMATS = (
     Format(
         SAG,
@@ -208,6 +254,15 @@ FORMATS = (
         drawn_cost(XYZ_SECONDS),
         stored=(AT_POINTS,),
     ),
+    Format(
+        TABLE,
+        "map",
+        "parameters of the surfaces, and the pose of every lenslet",
+        _write_table,
+        _forecast_table,
+        drawn_cost(TABLE_SECONDS),
+        stored=(OWN_NUMBERS,),
+    ),
 )
 
 FILES = (
@@ -217,4 +272,7 @@ FILES = (
     map_kind(POINTS, ".xyz"),
     map_kind(GRID, ".cell.dat"),
     map_kind(CALIBRATION, ".tiff.json", ".png.json", ".gds.json"),
+    map_kind(POSES, ".poses.csv"),
+    map_kind(SURFACES, ".surfaces.json"),
+    FileKind(CELL_TABLE, "other"),
 )

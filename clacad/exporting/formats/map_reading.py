@@ -16,18 +16,23 @@ from numpy.typing import NDArray
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.exporting.formats.file_kind import CALIBRATION, FaceFile, Misfit, Reading, Samples
-from clacad.exporting.formats.height_maps import GRID, PNG16, POINTS, TIFF16, TIFF32
+from clacad.exporting.formats.height_maps import (
+    GRID,
+    PNG16,
+    POINTS,
+    POSES,
+    SURFACES,
+    TIFF16,
+    TIFF32,
+)
 from clacad.exporting.formats.masks import GDS, MASK_DXF, MASK_SVG
 from clacad.exporting.formats.registry import longest_wait, reading_worker
 from clacad.exporting.formats.sequential import ZMX
-from clacad.exporting.formats.table import POSES, SURFACES
 from clacad.formats.maps.gds import GRID as LAYOUT_GRID
 from clacad.formats.maps.gds import grey_cell, layer_counts
 from clacad.formats.maps.mask import mask_misfit
 from clacad.formats.maps.pose_table import pose_lines, surface_table
-from clacad.formats.maps.raster import Pixels, read_png, read_tiff
 from clacad.formats.maps.sag import (
-    NO_DATA,
     HeightMap,
     check_grid_sag,
     read_grid_sag,
@@ -57,11 +62,7 @@ def _map(kind: str) -> Callable[[FaceFile], Misfit]:
     def compare(of: FaceFile) -> Misfit:
         map_ = of.map()
         worst, count = map_misfit(map_, of.path, kind, of.scale)
-        if kind == TIFF32:
-            room = of.scale * (2.0**-23 * max(abs(map_.low), abs(map_.high)) + 1e-15)
-        else:
-            room = 0.51 * of.scale * map_.step
-        return worst, room, f"{count:,} heights of {of.label}"
+        return worst, of.scale * map_.room(kind), f"{count:,} heights of {of.label}"
 
     return compare
 
@@ -112,19 +113,12 @@ def map_misfit(map_: HeightMap, path: Path, kind: str, scale: float) -> tuple[fl
 
     Raises UnreadableFile: The file is damaged, or its pixel format is not that of the map.
     """
-    pixels: Pixels = read_png(path) if kind == PNG16 else read_tiff(path)
-    if pixels.shape != (map_.height, map_.width):
-        raise UnreadableFile(
-            f"{path.name}: {pixels.shape[1]} × {pixels.shape[0]} pixels, a map of {map_.label} has"
-            f" {map_.width} × {map_.height}"
-        )
-    worst, row = 0.0, 0
+    pixels, worst, row = map_.read(path, kind), 0.0, 0
     for want in map_.blocks():
         got = np.asarray(pixels[row : row + len(want)], dtype=np.float64)
         row += len(want)
-        heights = got / scale if kind == TIFF32 else map_.low + (got - 1.0) * map_.step
-        hole = ~np.isfinite(want)
-        if ((got == (NO_DATA if kind == TIFF32 else 0)) != hole).any():
+        hole, (heights, empty) = ~np.isfinite(want), map_.heights_of(got, kind, scale)
+        if (empty != hole).any():
             return inf, pixels.size
         apart = np.abs(heights - want)[~hole]
         worst = max(worst, float(apart.max(initial=0.0))) if np.isfinite(apart).all() else inf
@@ -253,12 +247,11 @@ def _pixels(kind: str) -> SampleReader:
 
     def read(of: FaceFile, cell: tuple[int, int]) -> Samples:
         map_ = of.map()
-        pixels = read_png(of.path) if kind == PNG16 else read_tiff(of.path)
+        pixels = map_.read(of.path, kind)
         centre = _centre(of.window, of.face, cell)
         columns, rows = _span(map_, of.window.lattice_of(of.face.array or 0).tile(), centre)
         got = np.asarray(pixels[rows[:, None], columns], dtype=np.float64)
-        hole = got == (NO_DATA if kind == TIFF32 else 0)
-        height = got / of.scale if kind == TIFF32 else map_.low + (got - 1.0) * map_.step
+        height, hole = map_.heights_of(got, kind, of.scale)
         z = np.where(hole, np.nan, map_.reference - of.face.side * height)
         x, y = map_.places(columns, rows)
         gx, gy = np.meshgrid(x - centre[0], y - centre[1])

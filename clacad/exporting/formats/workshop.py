@@ -212,21 +212,14 @@ def _insert_heights(of: FaceFile) -> Floats:
     """Points of the pixels of an insert's map."""
     import numpy as np
 
-    from clacad.formats.maps.raster import read_tiff
-    from clacad.formats.maps.sag import NO_DATA
-    from clacad.storage.errors import UnreadableFile
+    from clacad.exporting.formats.height_maps import TIFF32
 
-    map_, pixels = of.map(), read_tiff(of.path)
-    if pixels.shape != (map_.height, map_.width):
-        raise UnreadableFile(
-            f"{of.path.name}: {pixels.shape[1]} × {pixels.shape[0]} pixels, a map of {of.label} has"
-            f" {map_.width} × {map_.height}"
-        )
-    rows, columns = np.nonzero(np.asarray(pixels) != NO_DATA)
+    map_ = of.map()
+    pixels = np.asarray(map_.read(of.path, TIFF32), dtype=np.float64)
+    heights, hole = map_.heights_of(pixels, TIFF32, of.scale)
+    rows, columns = np.nonzero(~hole)
     x, y = map_.places(columns, rows)
-    return np.stack(
-        [x, y, np.asarray(pixels, dtype=np.float64)[rows, columns] / of.scale + map_.reference], axis=1
-    )
+    return np.stack([x, y, heights[rows, columns] + map_.reference], axis=1)
 
 
 STEP_FINE, INSIDE = 1e-4, 0.6

@@ -10,6 +10,7 @@ import struct
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from clacad.storage.errors import FileDisagrees, UnreadableFile
 from clacad.storage.reading import Spending
 
 Pixels = NDArray[np.uint16] | NDArray[np.float32]
+Rows = TypeVar("Rows", NDArray[np.uint16], NDArray[np.float32], Pixels)
 LARGEST_TIFF = (1 << 32) - (1 << 12)
 _SHORT, _LONG, _RATIONAL, _ASCII = 3, 4, 5, 2
 
@@ -48,12 +50,18 @@ def write_tiff(
     head = _tiff_head(width, height, bits, pixels_per_cm, description)
     if len(head) + width * height * bits // 8 > LARGEST_TIFF:
         raise FileDisagrees(f"{width} × {height} pixels do not fit a TIFF file of 4 GiB")
-    written = 0
     with path.open("wb") as stream:
         stream.write(head)
-        for block in rows:
+        for block in _promised(rows, height):
             stream.write(np.ascontiguousarray(block, dtype="<u2" if bits == 16 else "<f4").tobytes())
-            written += len(block)
+
+
+def _promised(rows: Iterable[Rows], height: int) -> Iterator[Rows]:
+    """The blocks of rows, which must be `height` rows together. Raises FileDisagrees."""
+    written = 0
+    for block in rows:
+        yield block
+        written += len(block)
     if written != height:
         raise FileDisagrees(f"{written} rows were drawn, {height} were promised")
 
@@ -140,22 +148,18 @@ def write_png(
     """
     packer = zlib.compressobj(6)
     dots = min(round(pixels_per_metre), (1 << 31) - 1)
-    written = 0
     with path.open("wb") as stream:
         stream.write(b"\x89PNG\r\n\x1a\n")
         stream.write(_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, bits, 0, 0, 0, 0)))
         stream.write(_chunk(b"pHYs", struct.pack(">IIB", dots, dots, 1)))
-        for block in rows:
+        for block in _promised(rows, height):
             lines = np.zeros((len(block), 1 + bits // 8 * width), dtype=np.uint8)  # the first byte: no filter
             plain = np.ascontiguousarray(block, dtype=">u2" if bits == 16 else "u1")
             lines[:, 1:] = plain.view(np.uint8).reshape(len(block), -1)
             if packed := packer.compress(lines.tobytes()):
                 stream.write(_chunk(b"IDAT", packed))
-            written += len(block)
         stream.write(_chunk(b"IDAT", packer.flush()))
         stream.write(_chunk(b"IEND", b""))
-    if written != height:
-        raise FileDisagrees(f"{written} rows were drawn, {height} were promised")
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:
@@ -237,16 +241,12 @@ def write_bmp(
         raise FileDisagrees(f"{width} × {height} pixels do not fit a BMP file of 4 GiB")
     dots = min(round(pixels_per_metre), (1 << 31) - 1)
     head = (b"BM", size, 0, 0, first, 40, width, -height, 1, 8, 0, line * height, dots, dots, 256, 0)
-    written = 0
     with path.open("wb") as stream:
         stream.write(_BMP_HEAD.pack(*head) + _GREYS)
-        for block in rows:
+        for block in _promised(rows, height):
             padded = np.zeros((len(block), line), dtype=np.uint8)
             padded[:, :width] = block
             stream.write(padded.tobytes())
-            written += len(block)
-    if written != height:
-        raise FileDisagrees(f"{written} rows were drawn, {height} were promised")
 
 
 def read_bmp(path: Path) -> NDArray[np.uint16]:

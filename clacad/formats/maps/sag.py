@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats
+from clacad.base.types import Bools, Floats
 from clacad.formats.maps.raster import Pixels, read_png, read_tiff, write_png, write_tiff
 from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height_and_normal
 from clacad.storage.errors import FileDisagrees, UnreadableFile
@@ -83,6 +83,31 @@ class HeightMap:
             "column_0": "left (least x)",
             "hole": {"u16": 0, "f32": NO_DATA},
         }
+
+    def read(self, path: Path, kind: str) -> Pixels:
+        """Pixels (height, width) of a file of this map, "tiff32", "tiff16" or "png16".
+
+        Raises UnreadableFile: Damaged, or of another size.
+        """
+        pixels: Pixels = read_png(path) if kind == "png16" else read_tiff(path)
+        if pixels.shape != (self.height, self.width):
+            raise UnreadableFile(
+                f"{path.name}: {pixels.shape[1]} × {pixels.shape[0]} pixels, a map of {self.label} has"
+                f" {self.width} × {self.height}"
+            )
+        return pixels
+
+    def heights_of(self, pixels: Floats, kind: str, scale: float) -> tuple[Floats, Bools]:
+        """Heights of pixels of a file, design units, and which of them are holes."""
+        if kind == "tiff32":
+            return pixels / scale, pixels == NO_DATA
+        return self.low + (pixels - 1.0) * self.step, pixels == 0
+
+    def room(self, kind: str) -> float:
+        """Rounding of the heights in a file, design units."""
+        if kind == "tiff32":
+            return 2.0**-23 * max(abs(self.low), abs(self.high)) + 1e-15
+        return 0.51 * self.step
 
     def blocks(self, upwards: bool = False) -> Iterator[Floats]:
         """Heights (k, width) from the top row down, or up, design units, NaN where there is no face."""
@@ -241,17 +266,9 @@ def check_map(map_: HeightMap, path: Path, kind: str, scale: float) -> None:
     chance = np.random.default_rng(0)
     row, col = chance.integers(0, map_.height, 2000), chance.integers(0, map_.width, 2000)
     got = np.asarray(pixels[row, col], dtype=np.float64)
-    x = np.asarray(map_.origin[0] + map_.pixel * (col + 0.5), dtype=np.float64)
-    y = np.asarray(map_.origin[1] + map_.pixel * (map_.height - 0.5 - row), dtype=np.float64)
-    want = outward_height(map_.window, map_.body, map_.face, x, y, map_.reference)
-    hole = ~np.isfinite(want)
-    if kind == "tiff32":
-        heights, empty = got / scale, got == NO_DATA
-        room = 2.0**-23 * max(abs(map_.low), abs(map_.high)) + 1e-15
-    else:
-        heights, empty = map_.low + (got - 1.0) * map_.step, got == 0
-        room = 0.51 * map_.step
-    if (empty != hole).any() or (np.abs(heights - want)[~hole] > room).any():
+    want = outward_height(map_.window, map_.body, map_.face, *map_.places(col, row), map_.reference)
+    hole, (heights, empty) = ~np.isfinite(want), map_.heights_of(got, kind, scale)
+    if (empty != hole).any() or (np.abs(heights - want)[~hole] > map_.room(kind)).any():
         raise FileDisagrees(f"{path.name}: its heights are not those of {map_.label}")
 
 

@@ -18,7 +18,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Ints
 from clacad.formats.mesh.file_mesh import CHUNK, NO_VERTEX, FileMesh, FileRows, Part, Table, fault_of, rows_of
 from clacad.formats.placements import Piece
 from clacad.storage.atomic import scratch_folder
@@ -48,7 +48,7 @@ def write_ply(pieces: Sequence[Piece], path: Path, scale: float, name: str) -> N
     vertices = facets = 0
     with TemporaryFile(dir=path.parent) as rows, TemporaryFile(dir=path.parent) as faces:
         for piece in pieces:
-            for centre in _centres(piece):
+            for centre in np.zeros((1, 3)) if piece.places is None else piece.places.centres():
                 first = vertices
                 for block in piece.blocks():
                     row = np.concatenate(block.sound(piece.name, scale, centre), axis=1)
@@ -76,10 +76,6 @@ def _header(name: str, vertices: int, facets: int) -> bytes:
         "",
     ]
     return "\n".join(lines).encode("ascii")
-
-
-def _centres(piece: Piece) -> Floats:
-    return np.zeros((1, 3)) if piece.places is None else piece.places.centres()
 
 
 def _write_faces(stream: IO[bytes], triangles: Ints, first: int) -> None:

@@ -231,10 +231,8 @@ def _words(texts: list[str]) -> tuple[Bytes, Ints]:
 
 
 def _flat(name: str, places: Places, mesh: int, number: int, scale: float) -> Iterator[str]:
-    yield f'<object id="{number}" type="model" name="{escape(name)}">\n<components>\n'
-    for x, y, _ in places.centres().tolist():
-        yield component_text(mesh, x * scale, y * scale)
-    yield "</components>\n</object>\n"
+    placed = ((mesh, x * scale, y * scale) for x, y, _ in places.centres().tolist())
+    yield from _components(name, number, placed)
 
 
 def _hierarchical(
@@ -242,13 +240,15 @@ def _hierarchical(
 ) -> Iterator[str]:
     offsets, standing = places.rows()
     for number, row in zip(kinds, offsets):
-        yield f'<object id="{number}" type="model" name="{escape(name + " row")}">\n<components>\n'
-        for x in row.tolist():
-            yield component_text(mesh, x * scale, 0.0)
-        yield "</components>\n</object>\n"
-    yield f'<object id="{whole}" type="model" name="{escape(name)}">\n<components>\n'
-    for kind, (x, y) in standing:
-        yield component_text(kinds[kind], x * scale, y * scale)
+        yield from _components(name + " row", number, ((mesh, x * scale, 0.0) for x in row.tolist()))
+    placed = ((kinds[kind], x * scale, y * scale) for kind, (x, y) in standing)
+    yield from _components(name, whole, placed)
+
+
+def _components(name: str, number: int, placed: Iterable[tuple[int, float, float]]) -> Iterator[str]:
+    """Lines of an object of other objects, each at its place (x, y)."""
+    yield f'<object id="{number}" type="model" name="{escape(name)}">\n<components>\n'
+    yield from (component_text(*one) for one in placed)
     yield "</components>\n</object>\n"
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from clacad.base.types import Bools, Floats, Ints
 from clacad.base.units import millimetres
 from clacad.formats.placements import applied
-from clacad.formats.step.text_health import StepScan, casteljau
+from clacad.formats.step.text_health import StepScan, across_rows, casteljau
 from clacad.optics.surface import refract
 from clacad.sheet.face_order import refractions
 from clacad.sheet.window import Body, Face, Window
@@ -438,12 +438,8 @@ def _meet(patch: PlacedPatch, position: Floats, direction: Floats) -> tuple[Floa
 def _surface(control: Floats, u: Floats, v: Floats) -> tuple[Floats, Floats, Floats]:
     """Points and tangents (n, 3) at parameters (n,)."""
     u, v = u[:, None], v[:, None]
-    rows, rows_u = casteljau(np.broadcast_to(control[:, :, None], (*control.shape[:2], len(u), 4)), u)
-    place, place_v = casteljau(rows, v)
-    place_u, _ = casteljau(rows_u, v)
-    w = place[:, 3:]
-    point = place[:, :3] / w
-    return point, (place_u[:, :3] - point * place_u[:, 3:]) / w, (place_v[:, :3] - point * place_v[:, 3:]) / w
+    rows = casteljau(np.broadcast_to(control[:, :, None], (*control.shape[:2], len(u), 4)), u)
+    return across_rows(*rows, v)
 
 
 def follow_patches(

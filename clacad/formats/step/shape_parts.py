@@ -73,6 +73,7 @@ def _under(top: Floats, placements: Placements) -> Placements:
 def _parts_held(shape: Any) -> tuple[dict[Any, Any], dict[Any, list[tuple[Any, Floats]]]]:
     """Every part of a shape by its key, unplaced, in order; children of each, with placements (k, 3, 4)."""
     from OCP.TopAbs import TopAbs_SOLID
+    from OCP.TopLoc import TopLoc_Location
     from OCP.TopoDS import TopoDS_Iterator
 
     shapes: dict[Any, Any] = {}
@@ -83,7 +84,7 @@ def _parts_held(shape: Any) -> tuple[dict[Any, Any], dict[Any, list[tuple[Any, F
         key = one.TShape()
         if key in shapes:
             continue
-        shapes[key] = one.Located(_nowhere())
+        shapes[key] = one.Located(TopLoc_Location())
         if one.ShapeType().value >= TopAbs_SOLID.value:
             continue
         own: dict[Any, list[Floats]] = {}
@@ -95,12 +96,6 @@ def _parts_held(shape: Any) -> tuple[dict[Any, Any], dict[Any, list[tuple[Any, F
             inside.Next()
         held[key] = [(child, np.array(many)) for child, many in own.items()]
     return shapes, held
-
-
-def _nowhere() -> Any:
-    from OCP.TopLoc import TopLoc_Location
-
-    return TopLoc_Location()
 
 
 def placement_of(location: Any) -> Floats:

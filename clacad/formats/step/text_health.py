@@ -501,19 +501,26 @@ def _evaluate(poles: Floats, weights: Floats, t: Floats) -> tuple[Floats, Floats
     homogeneous = np.concatenate([poles * weights[..., None], weights[..., None]], axis=-1)
     points, normals = [], []
     for u in t:
-        rows, rows_u = casteljau(np.moveaxis(homogeneous, 1, 0), u)
+        rows, rows_u = (np.moveaxis(one, 1, 0) for one in casteljau(np.moveaxis(homogeneous, 1, 0), u))
         for v in t:
-            place, place_v = casteljau(np.moveaxis(rows, 1, 0), v)
-            place_u, _ = casteljau(np.moveaxis(rows_u, 1, 0), v)
-            w = place[:, 3:]
-            point = place[:, :3] / w
-            along = (place_u[:, :3] - point * place_u[:, 3:]) / w
-            across = (place_v[:, :3] - point * place_v[:, 3:]) / w
+            point, along, across = across_rows(rows, rows_u, v)
             normal = np.cross(along, across)
             normal /= np.linalg.norm(normal, axis=1, keepdims=True)
             points.append(point)
             normals.append(normal)
     return np.stack(points, axis=1).reshape(-1, 3), np.stack(normals, axis=1).reshape(-1, 3)
+
+
+def across_rows(rows: Floats, rows_u: Floats, v: float | Floats) -> tuple[Floats, Floats, Floats]:
+    """Points and tangents (n, 3) along u and v of patches, from their rows at u and the derivatives of these.
+
+    rows, rows_u : (n2, n, 4). Homogeneous control points.
+    """
+    place, place_v = casteljau(rows, v)
+    place_u, _ = casteljau(rows_u, v)
+    w = place[:, 3:]
+    point = place[:, :3] / w
+    return point, (place_u[:, :3] - point * place_u[:, 3:]) / w, (place_v[:, :3] - point * place_v[:, 3:]) / w
 
 
 def casteljau(control: Floats, t: float | Floats) -> tuple[Floats, Floats]:
