@@ -9,7 +9,7 @@ module of `exporting` traces.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cached_property
 from math import hypot, inf, isfinite, isnan, nan, sqrt
 from typing import TYPE_CHECKING
@@ -55,6 +55,10 @@ CLOSE = 0.04
 """Relative error of the formula; closer to the limit than that, the grid must be traced."""
 
 
+KEYS = ("law_rms", "law_bias", "eta", "delta", "confocality")
+"""Keys of a design file for the fields of `LightLimits`, in their order."""
+
+
 @dataclass(frozen=True, slots=True)
 class LightLimits:
     """Limits of the light through a file.
@@ -80,20 +84,15 @@ class LightLimits:
 
 
 @dataclass(frozen=True, slots=True)
-class Grade:
+class Grade(LightLimits):
     """Forecast of the light through facets; NaN where too few rays get through.
 
+    Stretch, offset and defocus are differences to the exact surfaces over the same rays.
+
     quads : Facet grid a cell side; 0: the exact surfaces.
-    rms, bias : radians
-    stretch, offset, defocus : See `LightLimits`; difference to the exact surfaces over the same rays.
     """
 
-    quads: int
-    rms: float
-    bias: float
-    stretch: float
-    offset: float
-    defocus: float
+    quads: int = 0
 
     def within(self, limits: LightLimits, part: float = 1.0) -> bool:
         """Whether every number is known and is at most `part` times its limit."""
@@ -101,13 +100,7 @@ class Grade:
 
     def beyond(self, limits: LightLimits, part: float = 1.0) -> tuple[str, ...]:
         """Exceeded limits, by their keys in a design file."""
-        pairs = (
-            ("law_rms", self.rms, limits.rms),
-            ("law_bias", self.bias, limits.bias),
-            ("eta", self.stretch, limits.stretch),
-            ("delta", self.offset, limits.offset),
-            ("confocality", self.defocus, limits.defocus),
-        )
+        pairs = zip(KEYS, astuple(self), astuple(limits), strict=False)
         return tuple(key for key, value, limit in pairs if not value <= part * limit)
 
 
@@ -271,7 +264,7 @@ class _Light:
         light = measure(send, self._truth.lit, self._law)
         found = Comparison(light, self._truth)
         stretch, offset = (nan, nan) if found.laws is None else difference_of_laws(*found.laws)
-        return Grade(quads, light.rms, self._bias(send), stretch, offset, self._defocus(found))
+        return Grade(light.rms, self._bias(send), stretch, offset, self._defocus(found), quads)
 
     def _bias(self, send: Send) -> float:
         """Worst angle of the mean direction to the law over the points of the field that are not dark."""

@@ -277,8 +277,7 @@ def mesh_volume(mesh: BodyMesh) -> float:
     """Sum the flux over the templates, each times its number, and over the land (length³)."""
     parts: list[float] = []
     for template, lattice, number in mesh.census:
-        xy = template.xy + (lattice.centres(template.owner) - lattice.centres(np.zeros(2, dtype=np.int64)))
-        corners = np.concatenate([xy, template.z[:, None]], axis=1)[template.triangles]
+        corners = template.local(lattice)[template.triangles]
         parts.append(number * fsum(flux(corners).tolist()))
     parts += flux(mesh.plain.corners).tolist()
     return fsum(parts)

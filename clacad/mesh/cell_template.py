@@ -58,6 +58,12 @@ class Template:
         """Distinct index steps (k, 2), and the index of each vertex's step among them (v,)."""
         return unique_rows(self.owner)
 
+    def local(self, lattice: Lattice) -> Floats:
+        """Vertices (v, 3) in the cell's own frame, lengths."""
+        origin = lattice.centres(np.zeros(2, dtype=np.int64))
+        xy = self.xy + (lattice.centres(self.owner) - origin)
+        return np.concatenate([xy, self.z[:, None]], axis=1)
+
 
 def neighbour_offsets(lattice: Lattice) -> tuple[Offset, ...]:
     """Index steps to every cell that shares a border or a node with a cell (8 or 6)."""

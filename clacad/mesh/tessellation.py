@@ -6,7 +6,7 @@ closed cell, with exact normals at the corners of facets.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from math import ceil
 
@@ -26,7 +26,7 @@ from clacad.sheet.grid_steps import plate_of
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.plate import Plate
-from clacad.sheet.window import Body, Window, lens_height_and_normal
+from clacad.sheet.window import Body, Face, Window, lens_height_and_normal
 from clacad.topology.build_complex import cell_complex, saddle_count
 from clacad.topology.complex_parts import CannotBuild, CellComplex, Tiling, refuse_buried_land
 
@@ -394,29 +394,33 @@ def cell_solid(window: Window, body: Body, quads: int) -> CellSolid:
         raise ValueError(f"body {body.name!r} has displaced faces: none of its cells is a solid of its own")
     maker = mesh.tiled[0].maker
     template = maker.template(np.zeros(len(maker.offsets), dtype=np.uint8))
-    vertices = np.concatenate([local_xy(window.lattice, template), template.z[:, None]], axis=1)
     normals = template_normals(window.lattice, body, template)
-    return CellSolid(vertices, template.triangles, template.kind, normals)
-
-
-def local_xy(lattice: Lattice, template: Template) -> Floats:
-    """A template's vertices in its own cell's frame, (v, 2) lengths."""
-    origin = lattice.centres(np.zeros(2, dtype=np.int64))
-    return np.asarray(template.xy + (lattice.centres(template.owner) - origin))
+    return CellSolid(template.local(window.lattice), template.triangles, template.kind, normals)
 
 
 def template_normals(lattice: Lattice, body: Body, template: Template) -> Floats:
     """Outward unit normals at the corners of a template's triangles, (t, 3, 3)."""
-    corners = np.concatenate([local_xy(lattice, template), template.z[:, None]], axis=1)[template.triangles]
-    normals = _facet_normals(corners)
-    for kind, face, outward in ((FRONT, body.front, -1.0), (BACK, body.back, 1.0)):
-        mine = np.flatnonzero(template.kind == kind)
-        if face.array is None or not len(mine):
-            continue
+    corners = template.local(lattice)[template.triangles]
+
+    def exact(face: Face, mine: Ints) -> Floats:
         at = corners[mine].reshape(-1, 3)
-        _, exact = lens_height_and_normal(face, at[:, 0], at[:, 1])
-        exact = outward * exact.reshape(-1, 3, 3)
-        normals[mine] = np.where(np.isnan(exact), normals[mine], exact)
+        return lens_height_and_normal(face, at[:, 0], at[:, 1])[1]
+
+    return _with_exact(_facet_normals(corners), template.kind, body, exact)
+
+
+def _with_exact(
+    normals: Floats, kinds: NDArray[np.uint8], body: Body, exact: Callable[[Face, Ints], Floats]
+) -> Floats:
+    """Normals (t, 3, 3) with the exact ones at the corners of optical facets.
+
+    exact : `exact(face, facets)` → normals (3 k, 3) of a face at the corners of some facets (k,)
+    """
+    for kind, face, outward in ((FRONT, body.front, -1.0), (BACK, body.back, 1.0)):
+        mine = np.flatnonzero(kinds == kind)
+        if face.array is not None and len(mine):
+            true = outward * exact(face, mine).reshape(-1, 3, 3)
+            normals[mine] = np.where(np.isnan(true), normals[mine], true)
     return normals
 
 
@@ -464,21 +468,17 @@ def corner_normals(mesh: BodyMesh) -> Iterator[Floats]:
 
 def own_normals(mesh: BodyMesh, block: OwnBlock) -> Floats:
     """Outward corner normals (t, 3, 3) of a block of cells that differ."""
-    normals = _facet_normals(block.facets)
     kinds, owners = block.tags(0, len(block.cells))
-    for kind, face, outward in ((FRONT, mesh.body.front, -1.0), (BACK, mesh.body.back, 1.0)):
-        mine = np.flatnonzero(kinds == kind)
-        if face.array is None or not len(mine):
-            continue
+
+    def exact(face: Face, mine: Ints) -> Floats:
         first, which = block.corner_points(mine)
         facet, corner = np.divmod(first, 3)
         cells, points = owners[mine[facet]], block.facets[mine[facet], corner, :2]
         centres = block.tiled.lattice.centres(cells) + np.array(block.tiled.shift)
         x, y = mesh.window.lenses(face, cells).seen(*(points - centres).T)
-        exact = lens_height_and_normal(face, x, y)[1][which]
-        exact = outward * exact.reshape(-1, 3, 3)
-        normals[mine] = np.where(np.isnan(exact), normals[mine], exact)
-    return normals
+        return lens_height_and_normal(face, x, y)[1][which]
+
+    return _with_exact(_facet_normals(block.facets), kinds, mesh.body, exact)
 
 
 def _facet_normals(corners: Floats) -> Floats:

@@ -277,8 +277,12 @@ def box(shape: Any) -> list[list[float]]:
 
 
 def _adaptive(shape: Any, relative: float) -> float:
+    return _integral(BRepGProp.VolumeProperties_s, shape, relative)
+
+
+def _integral(quadrature: Any, shape: Any, relative: float) -> float:
     properties = GProp_GProps()
-    BRepGProp.VolumeProperties_s(shape, properties, relative)
+    quadrature(shape, properties, relative)
     return float(properties.Mass())
 
 
@@ -287,13 +291,9 @@ def careful_volume(shape: Any, relative: float = QUADRATURE) -> float:
 
     Its faster adaptive one errs by 1e-5, without reporting that, where many splines bound a plane.
     """
-    properties = GProp_GProps()
-    BRepGProp.VolumePropertiesGK_s(shape, properties, relative)
-    return float(properties.Mass())
+    return _integral(BRepGProp.VolumePropertiesGK_s, shape, relative)
 
 
 def surface_area(shape: Any) -> float:
     """Surface area by OCCT's adaptive quadrature, mm²."""
-    properties = GProp_GProps()
-    BRepGProp.SurfaceProperties_s(shape, properties, QUADRATURE)
-    return float(properties.Mass())
+    return _integral(BRepGProp.SurfaceProperties_s, shape, QUADRATURE)

@@ -92,7 +92,6 @@ class ShellCounts:
     saddles: int = 0
     wedges: int = 0
     merged_steps: int = 0
-    merged_length: float = 0.0
     crossings: int = 0
     largest_shift: float = 0.0
 

@@ -5,6 +5,7 @@ of the surfaces (JSON) and of the poses of all lenslets (CSV).
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
@@ -44,7 +45,7 @@ TABLE_SECONDS = 4e-8
 # -- writing ---------------------------------------------------------------------------------------
 
 
-def _maps(job: Job, word: str, kinds: Mapping[str, str]) -> list[FileRecord]:
+def _maps(word: str, kinds: Mapping[str, str], job: Job) -> list[FileRecord]:
     """Write every structured face as each kind of raster, and one calibration file for them all."""
     from clacad.formats.maps.sag import check_map, height_map, samples_per_cell, structured_faces, write_map
 
@@ -61,16 +62,6 @@ def _maps(job: Job, word: str, kinds: Mapping[str, str]) -> list[FileRecord]:
             facts = {"float": "f32"} if kind == TIFF32 else {}
             records.append(job.record(path, kind, bodies=[body.name], facts=facts))
     return [*records, calibration_record(job, word, calibration)]
-
-
-def _write_tiff(job: Job) -> list[FileRecord]:
-    """Write single-precision heights and 16-bit levels of each face."""
-    return _maps(job, TIFF, {TIFF32: "f32.tiff", TIFF16: "u16.tiff"})
-
-
-def _write_png(job: Job) -> list[FileRecord]:
-    """Write 16-bit levels of each face."""
-    return _maps(job, PNG, {PNG16: "u16.png"})
 
 
 def _write_sag(job: Job) -> list[FileRecord]:
@@ -231,7 +222,7 @@ FORMATS = (
         TIFF,
         "map",
         "height map of each face, in single precision and in 16 bits",
-        _write_tiff,
+        partial(_maps, TIFF, {TIFF32: "f32.tiff", TIFF16: "u16.tiff"}),
         _forecast_tiff,
         drawn_cost(TIFF_SECONDS),
         stored=(ABOVE_FACE, SIXTEEN_BITS),
@@ -240,7 +231,7 @@ FORMATS = (
         PNG,
         "map",
         "height map of each face, in 16 bits",
-        _write_png,
+        partial(_maps, PNG, {PNG16: "u16.png"}),
         _forecast_png,
         drawn_cost(PNG_SECONDS),
         stored=(SIXTEEN_BITS,),

@@ -146,14 +146,10 @@ class Standing:
     def words(self) -> str:
         """Text of the result, with numbers."""
         found = []
-        for cells, number, what in zip(
-            (self.missing, self.doubled, self.outside),
-            self.faults,
-            ("cells have no instance", "cells have more than one", "instances lie outside the sheet"),
-            strict=True,
-        ):
+        listed = (self.missing, self.doubled, self.outside)
+        for cells, number, (many, one) in zip(listed, self.faults, _FAULTS, strict=True):
             if number:
-                found.append(f"{number} {what}, such as {cells[0]}" if number > 1 else _one(what, cells[0]))
+                found.append(f"{number} {many}, such as {cells[0]}" if number > 1 else one.format(cells[0]))
         if self.worst > self.limit:
             found.append(f"the instance over cell {self.worst_cell} lies {self.worst:.4g} off the lattice")
         return "; ".join(found) or (
@@ -162,14 +158,12 @@ class Standing:
         )
 
 
-def _one(what: str, cell: Cell) -> str:
-    return {
-        "cells have no instance": f"cell {cell} has no instance",
-        "cells have more than one": f"cell {cell} has more than one instance",
-        "instances lie outside the sheet": (
-            f"an instance lies outside the sheet, where cell {cell} would be"
-        ),
-    }[what]
+_FAULTS = (
+    ("cells have no instance", "cell {} has no instance"),
+    ("cells have more than one", "cell {} has more than one instance"),
+    ("instances lie outside the sheet", "an instance lies outside the sheet, where cell {} would be"),
+)
+"""Words on cells without a place, cells with several, places outside: of many, and of one."""
 
 
 def standing(mesh: FileMesh, window: Window, factor: float) -> Standing | None:

@@ -8,6 +8,7 @@ once. Edges on one line and walls in one plane share its entity. Lengths in mm.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from clacad.solid.rational_conics import Arc, RationalPatch
 from clacad.solid.shells import Loop, Role
 
 _KEPT = 200_000
+
+S = TypeVar("S")
+T = TypeVar("T")
 
 
 class Recent:
@@ -50,7 +54,7 @@ class SharedGeometry:
     def __init__(self, part: Part21) -> None:
         self.part = part
         self._places, self._lines, self._planes = Recent(), Recent(), Recent()
-        self._kept: dict[int, tuple[object, object]] = {}
+        self._kept: dict[int, tuple[object, Any]] = {}
         self._directions: dict[tuple[float, ...], int] = {}
         self._vectors: dict[tuple[float, ...], int] = {}
 
@@ -70,7 +74,8 @@ class SharedGeometry:
         inner = (arc.poles[1:-1] + offset).tolist()
         coordinates = self.part.coordinates
         points = [first, *(self.point(coordinates(p)) for p in inner), last]
-        before, after = self._template(arc)
+        self._bound()
+        before, after = self._once(arc, _plain_curve_text)
         return self.part.add(f"{before}{','.join([f'#{p}' for p in points])}{after}")
 
     def _bound(self) -> None:
@@ -78,31 +83,26 @@ class SharedGeometry:
         if len(self._kept) > _KEPT // 4:
             self._kept.clear()
 
-    def _template(self, arc: Arc) -> tuple[str, str]:
-        """All of a curve but its poles, the same for all instances of its class."""
-        self._bound()
-        found = self._kept.get(id(arc))
+    def _once(self, shared: S, make: Callable[[S], T]) -> T:
+        """What is made of the data of a class, once for all its instances; the data are kept alive."""
+        found = self._kept.get(id(shared))
         if found is None:
-            found = self._kept[id(arc)] = (arc, _curve_text(arc.weights, weight))
-        text = found[1]
-        assert isinstance(text, tuple)
-        return text
+            found = self._kept[id(shared)] = (shared, make(shared))
+        made: T = found[1]
+        return made
 
     def parameter_curve(self, parameters: Arc) -> int:
         """The representation of a parameter curve, written once for all instances of its class."""
-        found = self._kept.get(id(parameters))
-        if found is None:
-            part = self.part
-            points = [
-                part.add(f"CARTESIAN_POINT('',({real(u)},{real(v)}))") for u, v in parameters.poles.tolist()
-            ]
-            before, after = _curve_text(parameters.weights, real)
-            curve = part.add(f"{before}{','.join(f'#{p}' for p in points)}{after}")
-            number = part.add(f"DEFINITIONAL_REPRESENTATION('',(#{curve}),#{part.parameter_space})")
-            found = self._kept[id(parameters)] = (parameters, number)
-        number_found = found[1]
-        assert isinstance(number_found, int)
-        return number_found
+        return self._once(parameters, self._representation)
+
+    def _representation(self, parameters: Arc) -> int:
+        part = self.part
+        points = [
+            part.add(f"CARTESIAN_POINT('',({real(u)},{real(v)}))") for u, v in parameters.poles.tolist()
+        ]
+        before, after = _curve_text(parameters.weights, real)
+        curve = part.add(f"{before}{','.join(f'#{p}' for p in points)}{after}")
+        return part.add(f"DEFINITIONAL_REPRESENTATION('',(#{curve}),#{part.parameter_space})")
 
     def plane(self, plane: Plane, offset: Floats) -> int:
         """A plane; faces in one plane share it, because a plane has no ends in STEP."""
@@ -129,15 +129,11 @@ class SharedGeometry:
         """A patch displaced by `offset` (3,), mm."""
         part = self.part
         m, n = patch.weights.shape
-        found = self._kept.get(id(patch))
-        if found is None:
-            found = self._kept[id(patch)] = (patch, _patch_text(patch.weights))
-        text = found[1]
-        assert isinstance(text, tuple)
+        before, after = self._once(patch, _patch_text)
         poles = (patch.poles.reshape(-1, 3) + offset).tolist()
         ids = [f"#{self.point(part.coordinates(pole))}" for pole in poles]
         rows = ",".join([f"({','.join(ids[i * n : (i + 1) * n])})" for i in range(m)])
-        return part.add(f"{text[0]}{rows}{text[1]}")
+        return part.add(f"{before}{rows}{after}")
 
     def vector(self, unit: tuple[float, ...]) -> int:
         """A unit vector, written once."""
@@ -293,7 +289,13 @@ def _curve_text(weights: Floats, written: Callable[[float], str]) -> tuple[str, 
     )
 
 
-def _patch_text(weights: Floats) -> tuple[str, str]:
+def _plain_curve_text(arc: Arc) -> tuple[str, str]:
+    """All of a curve but its poles, the same for all instances of its class."""
+    return _curve_text(arc.weights, weight)
+
+
+def _patch_text(patch: RationalPatch) -> tuple[str, str]:
+    weights = patch.weights
     m, n = weights.shape
     many_u, knots = _knots(m - 1)
     many_v, _ = _knots(n - 1)
