@@ -1,5 +1,6 @@
-"""Heights of single faces: maps of pixels (TIFF, PNG), the sag grid of a cell, points with normals; and tables
-of the surfaces (JSON) and of the poses of all lenslets (CSV).
+"""Heights of single faces: maps of pixels (TIFF, PNG), the sag grid of a cell, points with normals.
+
+Tables of the surfaces (JSON) and of the poses of all lenslets (CSV).
 """
 
 from __future__ import annotations

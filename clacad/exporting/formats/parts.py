@@ -1,5 +1,5 @@
-"""Parts modelled one by one: bodies as BREP, baffle (STL), frame, pins, coupon and marked bodies (STEP); meshes
-of the bodies with name and arrow engraved in the border (STL, one file a body, and 3MF).
+"""Parts modelled one by one: bodies as BREP, baffle (STL), frame, pins, coupon and marked bodies (STEP);
+meshes of the bodies with name and arrow engraved in the border (STL, one file a body, and 3MF).
 
 The modelling runs in the worker because OCC can crash; the parent receives numbers only.
 """
