@@ -51,6 +51,7 @@ def map_of(z):
     return cloud_map("wedge", np.stack([columns * 4e-6, rows * 4e-6, z[rows, columns]]))
 
 
+@pytest.mark.daily_cases("-2.1", "268.9")
 @pytest.mark.parametrize("degrees", [0.0, 1.3, -2.1, 90.8, 179.0, 268.9])
 def test_depths_are_found_wherever_the_coupon_lies(degrees) -> None:
     found = calibrate(map_of(scanned(np.radians(degrees))))
@@ -88,6 +89,7 @@ def test_the_command_writes_what_exports_read(tmp_path, capsys) -> None:
     assert eight["residual_max"] < 0.5 * 30e-3 * 1.3 / 255.0 * 1.05  # half the largest step of the curve, mm
 
 
+@pytest.mark.daily_cases("a level missing", "mirrored")
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
@@ -97,6 +99,7 @@ def test_the_command_writes_what_exports_read(tmp_path, capsys) -> None:
         ({"depths": lambda level: 0.0}, "no coupon|mirror"),
         ({"mirror": True}, "mirror image"),
     ],
+    ids=["a level missing", "flat at its end", "inverted", "without depth", "mirrored"],
 )
 def test_maps_of_no_use_are_refused_with_the_reason(changed, words) -> None:
     with pytest.raises(NotMeasurable, match=words):

@@ -235,6 +235,7 @@ def test_errors_of_lenslets_of_other_radii_pixels_and_noise_are_as_large_as_stat
     assert np.mean(np.abs(every) < 2.0) >= 0.93
 
 
+@pytest.mark.daily_cases("PRIOR-10.0")
 @pytest.mark.parametrize(
     ("name", "other"), [("PRIOR", 10.0), ("PRIOR", 0.1), ("PRESENT", 0.7), ("THIN", 1200)]
 )
@@ -246,6 +247,7 @@ def test_settings_of_the_fit_decide_nothing(name, other, monkeypatch):
     assert np.abs(after - before).max() < 0.3
 
 
+@pytest.mark.slow
 def test_a_pixel_that_averages_the_surface_changes_no_radius():
     """Means over 5 x 5 places of each pixel, in place of its middle."""
     fine = Made(pixel=0.0025, size=600, noise=0.0, lost=0.0, rim=0.0, spikes=0, dirt=0)

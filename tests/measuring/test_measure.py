@@ -171,6 +171,7 @@ def test_no_map_and_a_scale_that_is_none_are_refused():
         measure(WINDOW, mapped(Made()), z_scale="much")
 
 
+@pytest.mark.slow
 def test_a_cloud_and_a_grid_of_the_same_part_give_the_same_radius():
     made = mapped(Made(noise=5e-6, spikes=0, dirt=0))
     shifted = made.points.copy()
@@ -256,6 +257,7 @@ def judged_sample(name: str, side: str = "front"):
 
 
 SLOW_SAMPLES = {
+    "front-other-instrument.tif": "front",
     "front.x3p": "front",
     "back.x3p": "back",
     "wrong-insert.sdf": "front",
@@ -266,7 +268,6 @@ SLOW_SAMPLES = {
 @pytest.mark.parametrize(
     ("name", "side"),
     [
-        ("front-other-instrument.tif", "front"),
         ("front-coarse.xyz", "front"),
         *(pytest.param(*one, marks=pytest.mark.slow) for one in SLOW_SAMPLES.items()),
     ],

@@ -121,7 +121,8 @@ def stepped(made: Turned, columns: tuple[int, int]) -> Turned:
 EDGES = load("window-100mm", ["lattice.count=[7,7]"])
 
 
-@pytest.mark.parametrize(("side", "first"), [("front", 5), pytest.param("back", 1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("side", "first"), [("front", 5), ("back", 1)])
 def test_an_edge_of_the_array_in_the_map_tells_its_cells(side, first):
     made = stepped(like(EDGES, side, size=340, pixel=0.008, noise=5e-6, spikes=0, dirt=0), (-9, 1))
     found = measure(EDGES, **{side: mapped(made)}, z_scale=(1.0, 1e-4))

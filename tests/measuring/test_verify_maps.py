@@ -125,6 +125,7 @@ def test_numbers_table_and_deviation_maps_are_written_next_to_the_report(parts, 
     assert load("window-100mm").sha256 == numbers["design"]["sha256"]
 
 
+@pytest.mark.slow
 def test_the_design_alone_has_the_table_of_a_measured_part(capsys):
     assert main(["check", DESIGN, "--json", "--set", "lattice.count=[8,8]"]) in (0, 1)
     rows = {row["name"]: row for row in json.loads(capsys.readouterr().out)["iso_14880"]}

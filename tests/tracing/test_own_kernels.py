@@ -77,7 +77,7 @@ def light_of_all_kinds(window, many=4000):
     return clacad.Rays(at - 2.0 * way, way)
 
 
-@pytest.mark.parametrize("rung", ["law", "thin", "surfaces"])
+@pytest.mark.parametrize("rung", ["law", "thin", pytest.param("surfaces", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", SHEETS)
 def test_kernels_of_every_rung_give_what_numpy_gives(name, rung):
     """Offsets by gradient and table, rises, sizes, laws of cells; fates and cells to the last ray."""

@@ -52,6 +52,7 @@ def test_files_have_their_seconds_of_writing_and_reading(table):
     assert svg == plot_svg(table)
 
 
+@pytest.mark.slow
 def test_every_rung_stands_beside_its_error_and_its_seconds(table):
     assert [r.rung for r in table.rows[:4]] == ["law", "thin", "surfaces", "surfaces"]
     assert sum(r.rung == "mesh" for r in table.rows) == 2 * 2 * 2
