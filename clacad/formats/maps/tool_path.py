@@ -182,7 +182,7 @@ def tool_face(window: Window, face: Face, label: str, nose: float, step: float |
     for what in (name for name, found in odd.items() if found):
         raise NotPossible(
             f"tool: {label} has {what}: they meet in steps, whose walls a ball nose would cut; points are"
-            " written for upright lenses in identical cells, at their middle; use --format insert (STEP, STL, map)"
+            " written for upright lenses in identical cells, at their middle; use --format insert"
         )
     concave = [-r for r in principal_radii(face.surface) if r < 0.0]
     if concave and nose > min(concave):
