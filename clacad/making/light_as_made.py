@@ -22,7 +22,7 @@ from clacad.design.process import Process, process_of
 from clacad.light.measure import Light, measure
 from clacad.making.made_surface import Lenslet, MadeSurface, made_face, made_surface, read_curve
 from clacad.making.texture import texture_of, texture_phase
-from clacad.measuring.light_through_form import PHASE
+from clacad.measuring.light_through_form import PHASE, mean_error
 from clacad.optics.rays import Fate, TraceResult
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, launched
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
@@ -227,7 +227,7 @@ def light_as_made(
         ideal.rms,
         formed.rms,
         everything.rms,
-        _bias(formed),
+        mean_error([formed]),
         ideal.share,
         formed.share,
         everything.share - formed.share,
@@ -254,14 +254,6 @@ def _lit(design: Design, made: Made, rays: int) -> tuple[Light, Light]:
     formed = measure(made, lit, RequestedLaw.of(window))
     fate = np.where(formed.seen.fate == Fate.LAND, np.uint8(Fate.ALIVE), formed.seen.fate)
     return formed, replace(formed, seen=replace(formed.seen, fate=fate))
-
-
-def _bias(light: Light) -> float:
-    """Length (radians) of the mean difference of direction to the law."""
-    if light.dark:
-        return nan
-    off = (light.direction - light.expected)[light.known]
-    return float(np.linalg.norm(off.mean(axis=0)))
 
 
 def _texture(window: Window, process: Process) -> tuple[float, float, float]:

@@ -168,7 +168,7 @@ def light_through_form(
     return FormLight(
         tuple(cells),
         value,
-        _bias(lights),
+        mean_error(lights),
         max(0.0, value - float(np.linalg.norm([down, noise, fuller]))),
         value + float(np.hypot(up, noise)),
         max(up, -down) / u_scale if u_scale else nan,
@@ -210,7 +210,7 @@ def _rms(lights: Sequence[Light], clear: Sequence[Bools] | None = None) -> float
     return float(np.sqrt(np.mean(every**2))) if len(every) >= 64 else nan
 
 
-def _bias(lights: Sequence[Light]) -> float:
+def mean_error(lights: Sequence[Light]) -> float:
     """Length (radians) of the mean difference of direction to the law."""
     off = np.concatenate([(one.direction - one.expected)[one.known] for one in lights])
     return float(np.linalg.norm(off.mean(axis=0))) if len(off) >= 64 else nan

@@ -161,6 +161,19 @@ def test_a_nose_larger_than_a_concave_face_is_refused(sheet, case) -> None:
     assert tool.left() == {"seam": 0.0, "corner": 0.0, "share": 0.0}
 
 
+@pytest.mark.parametrize(
+    ("keys", "reason"),
+    [
+        (["lattice.aperture = {point = [30, 70, -600]}"], "of its own in each cell.*--format insert"),
+        (["lattice.seam = 0.05"], "flat land.*lattice.seam = 0"),
+    ],
+)
+def test_steps_that_a_nose_would_cut_into_are_refused_with_the_nearest_fix(keys, reason) -> None:
+    window = clacad.prescribe(clacad.load("window-100mm", ["lattice.count = [4, 4]", *keys]))
+    with pytest.raises(NotPossible, match=reason):
+        tool_face(window, window.bodies[0].back, "back", 0.025, None, 1000)
+
+
 def test_levels_of_a_dose_are_those_of_the_reference() -> None:
     told = golden("dose")
     table = Calibration("table", np.array(told["levels"]), 1e-6 * np.array(told["depths_um"]))

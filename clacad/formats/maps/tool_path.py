@@ -174,10 +174,15 @@ def tool_face(window: Window, face: Face, label: str, nose: float, step: float |
         raise NotPossible("tool: no radius of the nose; set process.nose or --nose, such as '25 um'")
     pitch = window.lattice_of(face.array or 0).pitch
     off = max(abs(face.vertex[0]), abs(face.vertex[1]))
-    if not window.uniform or not face.untilted or off > 1e-9 * min(pitch):
+    odd = {
+        "lenses of its own in each cell": not window.uniform,
+        "tilted lenses": not face.untilted,
+        "lenses displaced in their cells": off > 1e-9 * min(pitch),
+    }
+    for what in (name for name, found in odd.items() if found):
         raise NotPossible(
-            f"tool: {label} has lenses that are tilted, displaced in their cells or each of its own; points"
-            " are written for equal upright lenses in the middle of their cells"
+            f"tool: {label} has {what}: they meet in steps, whose walls a ball nose would cut; points are"
+            " written for upright lenses in identical cells, at their middle; use --format insert"
         )
     concave = [-r for r in principal_radii(face.surface) if r < 0.0]
     if concave and nose > min(concave):
@@ -190,7 +195,8 @@ def tool_face(window: Window, face: Face, label: str, nose: float, step: float |
     covered = face_height(window, face, tile[:, 0], tile[:, 1]) != lens_height_and_normal(face, *tile.T)[0]
     if window.land.seam > 0.0 or covered.any():
         raise NotPossible(
-            f"tool: {label} has flat land between its lenses; points are written for lenses that meet"
+            f"tool: {label} has flat land between its lenses; points are written for lenses that meet: set"
+            " lattice.seam = 0, or mill the land first and export with lattice.seam = 0"
         )
     cells = max(1, window.lattice.cell_count)
     chosen = min(pitch) / min(64.0, max(4.0, sqrt(most / cells))) if step is None else step
