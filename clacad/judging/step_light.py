@@ -24,7 +24,7 @@ from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
 from clacad.sheet.face_order import plates_of
 from clacad.sheet.like_cell import lit_by
 from clacad.sheet.vignetting import share, thin_cells
-from clacad.sheet.window import Body, Face, Window, optical_tile
+from clacad.sheet.window import Body, Window, lifted, optical_tile
 from clacad.tracing.facets.telescopelet import ExactFace, FacetBody, trace_facets
 from clacad.tracing.worst_cell import tried_cells, worst_of
 
@@ -146,7 +146,7 @@ class FaceTracer:
         ]
         up = np.array([0.0, 0.0, self.z])
         function, more = (
-            (OCC_RAYS, ()) if self.by_occ else (PATCH_RAYS, (raised(self.window, self.z / scale), numbers))
+            (OCC_RAYS, ()) if self.by_occ else (PATCH_RAYS, (lifted(self.window, self.z / scale), numbers))
         )
         found = self.worker.run(
             function,
@@ -174,20 +174,6 @@ class FaceTracer:
             aside = ~lens[:, step] if self.by_occ else ~on_lens(self.window, face, hits[:, step])
             state.aside[live[met & aside]] = True
             state.see(live[met], face.array, self.window, hits[met, step])
-
-
-def raised(window: Window, z: float) -> Window:
-    """Window with all faces moved up by `z` (length)."""
-
-    def up(face: Face) -> Face:
-        x, y, height = face.vertex
-        return replace(face, vertex=(x, y, height + z), land=None if face.land is None else face.land + z)
-
-    if z == 0.0:
-        return window
-    return replace(
-        window, bodies=tuple(replace(b, front=up(b.front), back=up(b.back)) for b in window.bodies)
-    )
 
 
 def on_lens(window: Window, face: Any, place: Floats) -> NDArray[np.bool_]:

@@ -27,7 +27,7 @@ from clacad.prescription.radii import NoSuchLens
 from clacad.prescription.sharp_pairs import placed_field
 from clacad.prescription.traced_vertices import field_moves, traced_moves
 from clacad.sheet.cell_places import CellPlacement, VertexChange, row_ends
-from clacad.sheet.window import Body, Window
+from clacad.sheet.window import Face, Window, changed_faces
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -77,10 +77,17 @@ def aimed(window: Window, design: Design, field: FieldCells | None = None) -> Wi
     change = _vertex_change(built, window.lattice, field)
     kept = 1.0 if field is None else 1.0 - field.drift
     shift = xy(kept * np.subtract(built.shift, window.shifts[1]))
+
+    def moved(face: Face) -> Face:  # relative to the centre of its own cell in place of that of cell 1
+        x, y, z = face.vertex
+        if face.array != 1:
+            return face
+        return replace(face, vertex=(x - shift[0], y - shift[1], z), change=change)
+
     return replace(
         window,
         placements=(CellPlacement(), built, *window.placements[2:]),
-        bodies=tuple(_moved(body, shift, change) for body in window.bodies),
+        bodies=changed_faces(window.bodies, moved),
         thin=replace(
             window.thin, shift=thin.shift, pitch=thin.pitch, change=_vertex_change(thin, window.lattice)
         ),
@@ -124,17 +131,6 @@ def _vertex_change(place: CellPlacement, lattice: Lattice, field: FieldCells | N
     gx, gy = place.scale(lattice)
     kept = 1.0 if field is None else 1.0 - field.drift
     return VertexChange(((kept * (1.0 - gx), 0.0), (0.0, kept * (1.0 - gy))))
-
-
-def _moved(body: Body, shift: Pair2, change: VertexChange) -> Body:
-    """Body with lenses of array 2 relative to their own cells' centres instead of cell 1's."""
-    faces = []
-    for face in (body.front, body.back):
-        if face.array == 1:
-            x, y, z = face.vertex
-            face = replace(face, vertex=(x - shift[0], y - shift[1], z), change=change)
-        faces.append(face)
-    return replace(body, front=faces[0], back=faces[1])
 
 
 # -- what is refused ---------------------------------------------------------------------------

@@ -62,7 +62,7 @@ from clacad.prescription.traced_vertices import (
 from clacad.sheet.cell_places import CellLaws, CellPlacement, VertexChange, as_table, lens_plane_slope, tabled
 from clacad.sheet.vignetting import aperture_slope, aperture_slopes
 from clacad.sheet.volume_and_extent import FIELD
-from clacad.sheet.window import Body, Face, FieldLens, ThinPair, Window
+from clacad.sheet.window import Face, FieldLens, ThinPair, Window, changed_faces
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -206,8 +206,7 @@ def _moved_alike(window: Window) -> Window:
         x, y, z = face.vertex
         return replace(face, vertex=(x + float(move[0]), y + float(move[1]), z)) if face.array == 1 else face
 
-    bodies = tuple(replace(body, front=moved(body.front), back=moved(body.back)) for body in window.bodies)
-    return replace(window, bodies=bodies)
+    return replace(window, bodies=changed_faces(window.bodies, moved))
 
 
 # -- targets -------------------------------------------------------------------------------------------
@@ -283,10 +282,7 @@ def _with_tables(window: Window, targets: Targets, table: Floats, slope: Pair2) 
             return replace(face, change=VertexChange(size=sizes[0]))
         return face
 
-    def faces(body: Body) -> Body:
-        return replace(body, front=changed(body.front), back=changed(body.back))
-
-    return replace(window, bodies=tuple(map(faces, window.bodies)))
+    return replace(window, bodies=changed_faces(window.bodies, changed))
 
 
 def _with_field(window: Window, targets: Targets, field: FieldOfCells, apart: Floats) -> Window:
@@ -307,8 +303,7 @@ def _with_field(window: Window, targets: Targets, field: FieldOfCells, apart: Fl
         )
         return replace(face, change=replace(change, table=moved, size=size, lift=lift))
 
-    bodies = tuple(replace(b, front=changed(b.front), back=changed(b.back)) for b in window.bodies)
-    return replace(window, bodies=bodies)
+    return replace(window, bodies=changed_faces(window.bodies, changed))
 
 
 def _thin_fields(window: Window, targets: Targets) -> tuple[FieldLens, ...]:

@@ -46,7 +46,7 @@ from clacad.prescription.radii import (
 )
 from clacad.sheet.cell_places import CellLaws, CellPlacement, VertexChange, lens_plane_slope, linear_change
 from clacad.sheet.volume_and_extent import FIELD
-from clacad.sheet.window import Face, Window
+from clacad.sheet.window import Face, Window, changed_faces
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -379,7 +379,7 @@ def spread_to(window: Window, pitch: Pair2 | None, focal: Pair2, turn: float = 0
 
     return replace(
         window,
-        bodies=tuple(replace(b, front=raised(b.front), back=raised(b.back)) for b in window.bodies),
+        bodies=changed_faces(window.bodies, raised),
         placements=(CellPlacement(), place),
         cell_laws=CellLaws(window.law, ((a, b), (c, d))),
         thin=replace(
@@ -422,5 +422,5 @@ def placed_field(window: Window, field: FieldCells, before: Pair2) -> Window:
         z = face.vertex[2] + float(rise @ share @ moved)
         return replace(face, vertex=(float(x), float(y), z), change=linear_change(gradient, climb))
 
-    bodies = tuple(replace(b, front=changed(b.front), back=changed(b.back)) for b in window.bodies)
+    bodies = changed_faces(window.bodies, changed)
     return replace(window, bodies=bodies, placements=(*window.placements[:2], place))

@@ -15,7 +15,7 @@ gives the position of each cell's lens.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -480,18 +480,13 @@ class Window(PlacedArrays):
         """
 
         def fewer(face: Face) -> Face:
-            return (
-                face
-                if face.change is None
-                else replace(face, change=face.change.of_middle(self.lattice, count))
-            )
+            change = face.change
+            return face if change is None else replace(face, change=change.of_middle(self.lattice, count))
 
         small = replace(
             self,
             lattice=self.lattice.with_count(count),
-            bodies=tuple(
-                replace(body, front=fewer(body.front), back=fewer(body.back)) for body in self.bodies
-            ),
+            bodies=changed_faces(self.bodies, fewer),
         )
         first, second = (
             None if one is None else one.of_middle(self.lattice, count)
@@ -506,6 +501,21 @@ class Window(PlacedArrays):
         if self.cell_laws is not None:
             small = replace(small, cell_laws=self.cell_laws.of_middle(self.lattice, count))
         return replace(small, outline=side_outline(small))
+
+
+def changed_faces(bodies: tuple[Body, ...], change: Callable[[Face], Face]) -> tuple[Body, ...]:
+    """Bodies with each face replaced by `change` of it."""
+    return tuple(replace(body, front=change(body.front), back=change(body.back)) for body in bodies)
+
+
+def lifted(window: Window, z: float) -> Window:
+    """The window with its faces and lands a length `z` higher."""
+
+    def up(face: Face) -> Face:
+        x, y, height = face.vertex
+        return replace(face, vertex=(x, y, height + z), land=None if face.land is None else face.land + z)
+
+    return window if z == 0.0 else replace(window, bodies=changed_faces(window.bodies, up))
 
 
 def side_outline(window: Window) -> Outline | None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +22,7 @@ from clacad.exporting.pov.pov_solids import refuse, sheet_lines
 from clacad.scene import chess_knight
 from clacad.scene.chess_knight import turned
 from clacad.sheet.stack import Stack, StackedSheet
-from clacad.sheet.window import Face, Window
+from clacad.sheet.window import Window, lifted
 
 if TYPE_CHECKING:
     from clacad.scene import Camera, Scene, SceneObject
@@ -74,18 +73,7 @@ def pov_lines(given: Window | Stack, scene: Scene | None) -> Iterator[str]:
 
 def _raised(one: StackedSheet) -> Window:
     """Sheet of a stack with every height counted from the stack's z = 0."""
-    up = one.z / one.scale
-
-    def raised(face: Face) -> Face:
-        x, y, z = face.vertex
-        return replace(face, vertex=(x, y, z + up), land=None if face.land is None else face.land + up)
-
-    return replace(
-        one.window,
-        bodies=tuple(
-            replace(body, front=raised(body.front), back=raised(body.back)) for body in one.window.bodies
-        ),
-    )
+    return lifted(one.window, one.z / one.scale)
 
 
 # -- the scene ---------------------------------------------------------------------------------
