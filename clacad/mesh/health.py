@@ -118,22 +118,14 @@ def _as_chunks(source: NDArray[Any] | tuple[NDArray[Any], NDArray[Any]] | Chunks
     """Turn any source into a function that yields blocks of corners."""
     if callable(source):
         return source
-    block = 1_000_000
-    if isinstance(source, tuple):
-        vertices, triangles = source
+    vertices, rows = source if isinstance(source, tuple) else (None, source)
 
-        def indexed() -> Iterator[NDArray[Any]]:
-            for start in range(0, len(triangles), block):
-                yield vertices[triangles[start : start + block]]
+    def blocks() -> Iterator[NDArray[Any]]:
+        for start in range(0, len(rows), 1_000_000):
+            some = rows[start : start + 1_000_000]
+            yield some if vertices is None else vertices[some]
 
-        return indexed
-    corners = source
-
-    def plain() -> Iterator[NDArray[Any]]:
-        for start in range(0, len(corners), block):
-            yield corners[start : start + block]
-
-    return plain
+    return blocks
 
 
 def _degenerate(keys: Words) -> NDArray[np.bool_]:

@@ -30,11 +30,6 @@ class ColumnLine:
     back: HeightProfile
     zone: bool
 
-    def heights(self, t: Floats) -> tuple[Floats, Floats]:
-        """Front and back height (n,) at t; NaN where void."""
-        z, _ = self.evaluate(t)
-        return z[0], z[1]
-
     def evaluate(self, t: Floats) -> tuple[Floats, Bools]:
         """Front and back height (2, n) at t, NaN where void, and where each is lens (or plane), (2, n)."""
         columnar = self.front.face.array is not None and self.back.face.array is not None

@@ -42,8 +42,7 @@ def make_nodes(
         for n, (_, corner) in enumerate(cells):
             x, y = tile[corner]
             line = column_line(body, (x, y), (x, y), zone)
-            front, back = line.heights(np.zeros(1))
-            heights[:, n] = front[0], back[0]
+            heights[:, n] = line.evaluate(np.zeros(1))[0][:, 0]
         raw = [heights[f] if name in faces else np.full(len(cells), np.nan) for f, name in enumerate(SIDES)]
         front, back = cluster(np.concatenate(raw), merge).reshape(2, -1)
         nodes.append(Node(cells, _saddle(front, proud=-1), _saddle(back, proud=1)))

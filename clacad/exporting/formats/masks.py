@@ -38,10 +38,7 @@ def _write_mask(job: Job) -> list[FileRecord]:
 
     records = []
     for body, face, label in masked_faces(job.window):
-        svg, dxf = (
-            job.stage.path(f"{job.stem}.{label}.mask.svg"),
-            job.stage.path(f"{job.stem}.{label}.mask.dxf"),
-        )
+        svg, dxf = (job.stage.path(f"{job.stem}.{label}.mask.{end}") for end in ("svg", "dxf"))
         write_svg(job.window, body, face, label, svg, job.scale)
         write_dxf(job.window, body, face, label, dxf, job.scale)
         check_mask(job.window, face, svg, dxf, job.scale)

@@ -303,17 +303,18 @@ class FileMesh:
         Raises UnreadableFile: Its repeated parts represent more facets than MOST_EXPANDED: examine each part
             once.
         """
-        if not self.expandable:
-            raise UnreadableFile(f"its parts represent {self.facet_count} facets, more than {MOST_EXPANDED}")
-        for part in self.parts:
+        for part in self._expanded():
             yield from part.chunks(size)
 
     def pairs(self, size: int = CHUNK) -> Iterator[tuple[Floats, Floats | None]]:
         """The chunks of `chunks`, each with the normals (k, 3, 3) stored for its corners, or None."""
+        for part in self._expanded():
+            yield from part.pairs(size)
+
+    def _expanded(self) -> tuple[Part, ...]:
         if not self.expandable:
             raise UnreadableFile(f"its parts represent {self.facet_count} facets, more than {MOST_EXPANDED}")
-        for part in self.parts:
-            yield from part.pairs(size)
+        return self.parts
 
     def box(self) -> tuple[Floats, Floats]:
         """Lowest and highest corner, (3,) each, file unit."""

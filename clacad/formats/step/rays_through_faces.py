@@ -181,11 +181,10 @@ def _column(path: str | os.PathLike[str], low: tuple[float, ...], high: tuple[fl
     from OCP.IntCurvesFace import IntCurvesFace_ShapeIntersector
     from OCP.TopoDS import TopoDS_Compound
 
-    from clacad.formats.step.read_back import loaded, state_of
+    from clacad.formats.step.read_back import kept, loaded, state_of
     from clacad.formats.step.shape_parts import boxes_of, moved, reaching
 
-    key = (*state_of(path), low, high)
-    if key not in _COLUMNS:
+    def made() -> Any:
         builder, chosen, found = BRep_Builder(), TopoDS_Compound(), 0
         builder.MakeCompound(chosen)
         for piece in loaded(path).pieces:
@@ -195,9 +194,9 @@ def _column(path: str | os.PathLike[str], low: tuple[float, ...], high: tuple[fl
         intersector = IntCurvesFace_ShapeIntersector() if found else None
         if intersector is not None:
             intersector.Load(chosen, 1e-10)
-        _COLUMNS.clear()
-        _COLUMNS[key] = intersector
-    return _COLUMNS[key]
+        return intersector
+
+    return kept(_COLUMNS, (*state_of(path), low, high), made)
 
 
 class _Ray:
@@ -489,10 +488,7 @@ _PATCH_COLUMNS: dict[tuple[object, ...], list[PlacedPatch]] = {}
 
 def _kept(path: str | os.PathLike[str], low: tuple[float, ...], high: tuple[float, ...]) -> list[PlacedPatch]:
     """The patches of a column; kept for the next call in this process."""
-    from clacad.formats.step.read_back import scanned, state_of
+    from clacad.formats.step.read_back import kept, scanned, state_of
 
     key = (*state_of(path), low, high)
-    if key not in _PATCH_COLUMNS:
-        _PATCH_COLUMNS.clear()
-        _PATCH_COLUMNS[key] = column_patches(scanned(path), np.array(low), np.array(high))
-    return _PATCH_COLUMNS[key]
+    return kept(_PATCH_COLUMNS, key, lambda: column_patches(scanned(path), np.array(low), np.array(high)))

@@ -11,9 +11,9 @@ from __future__ import annotations
 import mmap
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from clacad.base.units import millimetres
 from clacad.base.untrusted_files import BUDGETS
@@ -33,6 +33,9 @@ from clacad.storage.errors import UnreadableFile
 
 OCC_BYTES = BUDGETS["step"].bytes
 """Files larger than this are only scanned: OCC would take minutes and gigabytes."""
+
+Key = TypeVar("Key")
+T = TypeVar("T")
 
 FEW_FACES = 2000
 """Faces up to which each is examined at three points; at its middle, where there are more."""
@@ -245,11 +248,15 @@ def scanned(path: str | os.PathLike[str]) -> StepScan:
 
     Raises UnreadableFile: The file is no STEP file.
     """
-    key = state_of(path)
-    if key not in _SCANNED:
-        _SCANNED.clear()
-        _SCANNED[key] = scan_step(path)
-    return _SCANNED[key]
+    return kept(_SCANNED, state_of(path), lambda: scan_step(path))
+
+
+def kept(last: dict[Key, T], key: Key, make: Callable[[], T]) -> T:
+    """What is made for a key; `last` keeps it for the next call, and is emptied before another is made."""
+    if key not in last:
+        last.clear()
+        last[key] = make()
+    return last[key]
 
 
 def state_of(path: str | os.PathLike[str]) -> tuple[str, int, int]:
@@ -267,12 +274,7 @@ def loaded(path: str | os.PathLike[str]) -> Loaded:
 
     Raises UnreadableFile: OCC cannot read it.
     """
-    key = state_of(path)
-    if key not in _KEPT:
-        _KEPT.clear()
-        shape = occ_shape(path)
-        _KEPT[key] = Loaded(shape, pieces(shape))
-    return _KEPT[key]
+    return kept(_KEPT, state_of(path), lambda: Loaded(shape := occ_shape(path), pieces(shape)))
 
 
 def occ_shape(path: str | os.PathLike[str]) -> Any:
