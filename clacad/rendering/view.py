@@ -18,7 +18,7 @@ from clacad.optics.rays import Rays
 from clacad.rendering.camera import SpectralLine, View, Viewing, digits, lines
 from clacad.rendering.scene_arrays import BOX, FLOOR, SCREEN, SceneArrays, set_stage
 from clacad.rendering.scene_hits import background, look
-from clacad.rendering.sheet_passage import Between, Beyond, Passage, plan_passage
+from clacad.rendering.sheet_passage import Between, Passage, plan_passage
 from clacad.scene import Camera, Scene
 from clacad.sheet.face_order import media_of
 from clacad.sheet.plate import Plate
@@ -26,6 +26,7 @@ from clacad.sheet.window import Window
 from clacad.tracing.layout import lay_out
 
 if TYPE_CHECKING:
+    from clacad.effects.engine.homogeneous_light import LightRays
     from clacad.rendering.compiled.pixels import Pane
 
 
@@ -282,7 +283,7 @@ def _between(viewing: Viewing) -> Between:
 
 
 def _through(
-    viewing: Viewing, position: Floats, direction: Floats, beyond: Beyond, met: Bools, lit: Floats | None
+    viewing: Viewing, position: Floats, direction: Floats, beyond: LightRays, met: Bools, lit: Floats | None
 ) -> Floats:
     """Light of rays that met the sheet: of an object before it, else of what is seen through it, or black.
 

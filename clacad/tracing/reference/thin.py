@@ -20,7 +20,7 @@ from clacad.sheet.lattice import Circle, Outline, Rectangle
 from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate import Plate
 from clacad.tracing.layout import Box, Layout, array_numbers, sheet_position
-from clacad.tracing.ledger import Ledger
+from clacad.tracing.ledger import Ledger, RayColumns
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import along_normal
 from clacad.tracing.reference.face import in_zone
@@ -93,7 +93,7 @@ class ThinPatch:
 
 
 @dataclass(frozen=True, eq=False)
-class Met:
+class Met(RayColumns):
     """What rays met in one array: a patch, a gap between two, nothing.
 
     beam : At the point met, in its cell.
@@ -206,7 +206,7 @@ def _box(box: Box, outline: Outline | None, centre: Pair2) -> Box:
 
 
 @dataclass(frozen=True, eq=False)
-class Passed:
+class Passed(RayColumns):
     """m rays that passed lens 1, and possibly a field lens.
 
     one : At lens 1.
@@ -222,16 +222,6 @@ class Passed:
     land: Bools
     odd: Ints
 
-    def take(self, chosen: Bools) -> Passed:
-        """The chosen rays, (m,) bool."""
-        return Passed(
-            _take(self.one, chosen),
-            self.beam.take(chosen),
-            self.path[chosen],
-            self.land[chosen],
-            self.odd[chosen],
-        )
-
 
 def _trace_block(layout: Layout, patches: tuple[ThinPatch, ...], ledger: Ledger, rows: Rows) -> None:
     """Trace the rays `rows` (k,) through all arrays and write their rows of the ledger."""
@@ -240,9 +230,9 @@ def _trace_block(layout: Layout, patches: tuple[ThinPatch, ...], ledger: Ledger,
     one = _meet(layout, first, beam)
     path = carried + one.distance
     on = ~one.beside & (path >= 0.0)
-    one, path = _take(one, on), path[on]
+    one, path = one.take(on), path[on]
     here, out = _go_on(layout, ledger, first, one, path)
-    one, path, out = _take(one, here), path[here], out[here]
+    one, path, out = one.take(here), path[here], out[here]
     gone = Passed(one, replace(one.beam, direction=out), path, one.land, one.beam.cell)
     last = first
     for patch in fields:
@@ -254,7 +244,7 @@ def _trace_block(layout: Layout, patches: tuple[ThinPatch, ...], ledger: Ledger,
         passes &= ~_stopped(layout, ledger, gone, last, two, length)
     else:
         _pass_beside(layout, ledger, one, two)
-    _leave(layout, ledger, second, gone.take(passes), _take(two, passes), (path + length)[passes])
+    _leave(layout, ledger, second, gone.take(passes), two.take(passes), (path + length)[passes])
 
 
 def _carried(layout: Layout, start: Beam, left: ThinPatch, entered: ThinPatch) -> tuple[Met, Floats]:
@@ -279,7 +269,7 @@ def _stopped(
     run = np.where(np.isfinite(share * length), share * length, 0.0)[stopped]
     at = _position(layout, left, start)[stopped] + run[:, None] * start.direction[stopped]
     stray = start.direction[stopped]
-    _end(layout, ledger, _take(gone.one, stopped), Fate.VIGNETTED, at, stray, gone.path[stopped] + run, 0)
+    _end(layout, ledger, gone.one.take(stopped), Fate.VIGNETTED, at, stray, gone.path[stopped] + run, 0)
     return stopped
 
 
@@ -291,9 +281,9 @@ def _through_field(layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch
     else:
         _pass_beside(layout, ledger, gone.one, met)
         on = ~met.beside
-    gone, met, path = gone.take(on), _take(met, on), (gone.path + length)[on]
+    gone, met, path = gone.take(on), met.take(on), (gone.path + length)[on]
     here, out = _go_on(layout, ledger, patch, met, path)
-    gone, met = gone.take(here), _take(met, here)
+    gone, met = gone.take(here), met.take(here)
     own = gone.one.beam.cell
     cell = met.beam.cell
     blind = patch.blind
@@ -330,7 +320,7 @@ def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Flo
         ledger.record(patch.array, beam.rows, at, np.where(stopped[:, None], beam.direction, out))
     for ended, fate in ((opaque, Fate.VIGNETTED), (backward, Fate.BACKWARD)):
         if patch.array != 1:
-            _end(layout, ledger, _take(met, ended), fate, at[ended], beam.direction[ended], path[ended], 0)
+            _end(layout, ledger, met.take(ended), fate, at[ended], beam.direction[ended], path[ended], 0)
     return ~stopped, out
 
 
@@ -442,14 +432,3 @@ def _named(layout: Layout, beam: Beam) -> Ints:
 
 def _position(layout: Layout, patch: ThinPatch, beam: Beam) -> Floats:
     return sheet_position(layout, patch.array, beam.cell, beam.local, beam.z + patch.level)
-
-
-def _take(met: Met, chosen: Bools) -> Met:
-    return Met(
-        met.beam.take(chosen),
-        met.distance[chosen],
-        met.lens[chosen],
-        met.land[chosen],
-        met.beside[chosen],
-        met.solid[chosen],
-    )
