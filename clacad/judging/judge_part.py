@@ -287,10 +287,9 @@ def _closed(placed: Placed, found: Measure, asked: Inspection) -> tuple[Check, R
             f"({rim.count} edges have no partner)"
         )
         return CLOSED.check("warn", sentence, float(rim.count), required=False, **common), Role.SCAN
-    at = ", ".join(f"{v:.6g}" for v in rim.place)
     sentence = (
         f"the surface is not closed or not consistently wound: {rim.count} edges of {found.facets} facets"
-        f" have no partner, one at ({at}) in file units; a scan would be open all along its rim"
+        f" have no partner, one at ({rim.at}) in file units; a scan would be open all along its rim"
     )
     return CLOSED.check("fail", sentence, float(rim.count), **common), role
 

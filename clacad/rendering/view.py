@@ -131,7 +131,7 @@ def kernels_are_kept(viewing: Viewing, view: View) -> bool:
         eye = _eye(view, SampleRange(0, 1, 1))
         return is_kept(sample_all, (eye, viewing.pane, viewing.tables, none, none, 1, rows, rows))
     from clacad.rendering.compiled.scene_hits import look_all
-    from clacad.tracing.compiled.surfaces import rung_is_kept
+    from clacad.tracing.compiled.chunk import rung_is_kept
 
     rows, flat = np.zeros((0, 3)), np.zeros(0)
     looked = (viewing.tables, rows, rows, flat, rows, np.zeros(0, np.bool_), flat)
@@ -168,7 +168,7 @@ def set_up(
     made = pane = None
     between = bool(planned.several) and _lies_between(stage, planned, scale)
     if compiled:
-        from clacad.rendering.compiled.scene_tables import tables
+        from clacad.rendering.scene_arrays import tables
 
         made = tables(stage)
         if not planned.several and scene.sheet.tint == UNTINTED:

@@ -118,7 +118,7 @@ def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[Lig
 
     setting : With the effects that are on.
     """
-    from clacad.effects.engine.compiled_split_paths import Passing, SplitPaths, bounce_pass
+    from clacad.effects.engine.compiled_passes import Passing, SplitPaths, bounce_pass
     from clacad.tracing.compiled.packing import pack
     from clacad.tracing.trace import trace
 

@@ -63,7 +63,7 @@ from clacad.tracing.compiled.cells import hexagon_steps, reach
 from clacad.tracing.compiled.face import bend, meet
 from clacad.tracing.compiled.packing import OwnCells, Packed
 from clacad.tracing.compiled.records import MOST_ARRAYS, Vector
-from clacad.tracing.facets.compiled_tile_block import cross_facets
+from clacad.tracing.facets.compiled_tiles import cross_facets
 from clacad.tracing.facets.tiles import Tiles
 
 Media = tuple[float, float]
