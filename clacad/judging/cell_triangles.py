@@ -186,6 +186,11 @@ class CellFacets:
         alone = all(key not in self.facets and len(self.repeats[key]) == 1 for key in keys)
         return sources.pop() if alone and len(sources) == 1 else cell
 
+    def alike(self, window: Window, cell: int) -> tuple[Window, Ints]:
+        """Uniform equivalent of a chosen cell of a window, and its index (2,)."""
+        index = np.array(self.cells[cell], dtype=np.int64)
+        return like_cell(window, index, widest=False), index
+
 
 @dataclass(frozen=True, eq=False)
 class SideFacets:
@@ -327,8 +332,7 @@ def telescopelet(
     onto_design : bool
         Move every corner along z onto the design's own face; the result is the design with the file's facets.
     """
-    index = np.array(found.cells[cell], dtype=np.int64)
-    window = like_cell(window, index, widest=False)
+    window, index = found.alike(window, cell)
     bodies = []
     for number, body in enumerate(window.bodies):
         faces: list[AnyFace] = []
