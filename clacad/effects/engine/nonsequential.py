@@ -7,7 +7,6 @@ window, where they travel upwards too. At a face a packet is refracted, reflecte
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -199,6 +198,7 @@ class _Packets:
         )
         beside = np.setdiff1d(rows, beam.rows)
         self.share["aside"][beside] += 1.0
+        self.out.append((packet.take(zero[:0]), True))  # nothing, in columns
         self.put((True, 0, False), packet)
 
     def put(self, state: State, packet: Packet) -> None:
@@ -229,20 +229,17 @@ class _Packets:
 
     def result(self) -> NonsequentialLight:
         """The light that has left, and the outcome of the rest."""
-        packets = [packet for packet, _ in self.out]
-        empty = np.zeros((0, 3))
-
-        def column(values: Sequence[Floats], nothing: Floats) -> Floats:
-            return np.concatenate(values) if values else nothing
-
+        whole = Packet.joined([packet for packet, _ in self.out])
+        up = np.concatenate([np.full(len(packet), up) for packet, up in self.out])
+        x, y, z = whole.beam.direction.T
         return NonsequentialLight(
-            parent=np.concatenate([p.beam.rows for p in packets]) if packets else np.zeros(0, dtype=np.intp),
-            position=column([p.position for p in packets], empty),
-            direction=column([p.beam.direction * (1.0, 1.0, 1.0 if u else -1.0) for p, u in self.out], empty),
-            flux=column([p.flux for p in packets], np.zeros(0)),
-            optical_path=column([p.path for p in packets], np.zeros(0)),
-            front=np.concatenate([np.full(len(p), not u) for p, u in self.out] or [np.zeros(0, dtype=bool)]),
-            bounces=np.concatenate([p.bounces for p in packets] or [np.zeros(0, dtype=np.int64)]),
+            parent=whole.beam.rows,
+            position=whole.position,
+            direction=np.column_stack([x, y, np.where(up, z, -z)]),
+            flux=whole.flux,
+            optical_path=whole.path,
+            front=~up,
+            bounces=whole.bounces,
             share={str(cause): value for cause, value in self.share.items()},
         )
 

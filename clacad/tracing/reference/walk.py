@@ -55,6 +55,12 @@ class Walkers(RayColumns):
     land: Bools
     surface: Ints
 
+    @classmethod
+    def unmet(cls, beam: Beam, position: Floats) -> Walkers:
+        """Rays that have met nothing."""
+        none, no = np.full((len(beam), 2), NO_CELL, dtype=np.int64), np.zeros(len(beam), dtype=bool)
+        return cls(beam, np.zeros(len(beam)), position, none, none, none, no, no, no, none[:, 0])
+
     def __len__(self) -> int:
         return len(self.path)
 
@@ -90,20 +96,7 @@ def walk(layout: Layout, ledger: Ledger, media: Sequence[float], beam: Beam, car
     beam, carried
         From `launch`: m rays on the first body's reference plane, and their distances (m,) from the start.
     """
-    m = len(beam)
-    none, no = np.full((m, 2), NO_CELL, dtype=np.int64), np.zeros(m, dtype=bool)
-    walkers = Walkers(
-        beam,
-        np.zeros(m),
-        ledger.position[beam.rows],
-        none,
-        none,
-        none,
-        no,
-        no,
-        no,
-        np.full(m, NO_CELL, dtype=np.int64),
-    )
+    walkers = Walkers.unmet(beam, ledger.position[beam.rows])
     with np.errstate(all="ignore"):
         for b, body in enumerate(layout.bodies):
             here = BodyWalk(layout, ledger, b, (media[2 * b], media[2 * b + 1], media[2 * b + 2]))
