@@ -319,6 +319,17 @@ class Gatherer:
         return number
 
 
+def own_facets(window: Window, quads: int) -> CellFacets:
+    """Facets of a window of one cell as its own mesh has them."""
+    from clacad.mesh import tessellate
+
+    gatherer = Gatherer(window, [(0, 0)])
+    for body in tessellate(window, quads=quads).bodies:
+        for rows in body.rows():
+            gatherer.look(np.asarray(rows, dtype=np.float64))
+    return gatherer.result
+
+
 def telescopelet(
     window: Window,
     found: CellFacets,
