@@ -23,7 +23,7 @@ from clacad.scene import Camera, Scene
 from clacad.sheet.face_order import media_of
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
-from clacad.tracing.layout import lay_out
+from clacad.tracing.layout import half_sizes, lay_out
 
 if TYPE_CHECKING:
     from clacad.effects.engine.homogeneous_light import LightRays
@@ -218,19 +218,10 @@ def _lies_between(stage: SceneArrays, passage: Passage, scale: float) -> bool:
 def sheet_box(window: Window) -> Floats:
     """Box (low, high) round all bodies, a cell wider on every side, window units."""
     boxes = [place.extent(window.lattice) for place in window.placements]
-    outline = getattr(window.outline, "diameter", None)
-    half = (
-        (outline, outline)
-        if outline
-        else (getattr(window.outline, "width", 0.0), getattr(window.outline, "height", 0.0))
-    )
-    edges = np.array(
-        boxes
-        + [
-            (sx - half[0] / 2, sx + half[0] / 2, sy - half[1] / 2, sy + half[1] / 2)
-            for sx, sy in window.shifts
-        ]
-    )
+    shape = window.outline
+    hx, hy = (0.0, 0.0) if shape is None or isinstance(shape, Plate) else half_sizes(shape)
+    boxes += [(sx - hx, sx + hx, sy - hy, sy + hy) for sx, sy in window.shifts]
+    edges = np.array(boxes)
     if isinstance(window.outline, Plate):
         edges = np.append(edges, [window.outline.box], axis=0)
     pad = 2.0 * window.lattice.circumradius + window.land.border

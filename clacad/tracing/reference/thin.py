@@ -16,10 +16,10 @@ from clacad.base.types import Bools, Floats, Ints, Pair2, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.sheet.cell_places import CellPlacement, LensPlaces, VertexChange, extreme_cells
-from clacad.sheet.lattice import Circle, Outline, Rectangle
+from clacad.sheet.lattice import Circle, Outline
 from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate import Plate
-from clacad.tracing.layout import Box, Layout, array_numbers, sheet_position
+from clacad.tracing.layout import Box, Layout, array_numbers, half_sizes, sheet_position
 from clacad.tracing.ledger import Ledger, RayColumns
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import along_normal
@@ -195,13 +195,8 @@ def _box(box: Box, outline: Outline | None, centre: Pair2) -> Box:
     if isinstance(outline, Plate):
         x0, x1, y0, y1 = outline.box
     else:
-        wide, high = (
-            (outline.diameter, outline.diameter)
-            if isinstance(outline, Circle)
-            else (outline.width, outline.height)
-        )
-        x0, x1 = centre[0] - 0.5 * wide, centre[0] + 0.5 * wide
-        y0, y1 = centre[1] - 0.5 * high, centre[1] + 0.5 * high
+        hx, hy = half_sizes(outline)
+        x0, x1, y0, y1 = centre[0] - hx, centre[0] + hx, centre[1] - hy, centre[1] + hy
     return min(box[0], x0), max(box[1], x1), min(box[2], y0), max(box[3], y1)
 
 
@@ -414,14 +409,13 @@ def _next_border(layout: Layout, array: int, local: Floats, ray: Floats) -> tupl
 def _in_outline(layout: Layout, patch: ThinPatch, xy: Floats) -> Bools:
     """Which points lie on the border land inside the window's outline."""
     outline = layout.window.outline
+    if outline is None:
+        return np.zeros(len(xy), dtype=bool)
     if isinstance(outline, Plate):
         return outline.inside(xy)
-    x, y = (xy - np.asarray(patch.centre)).T
-    if isinstance(outline, Circle):
-        return np.asarray(np.hypot(x, y) <= 0.5 * outline.diameter)
-    if isinstance(outline, Rectangle):
-        return np.asarray((np.abs(x) <= 0.5 * outline.width) & (np.abs(y) <= 0.5 * outline.height))
-    return np.zeros(len(xy), dtype=bool)
+    (x, y), (hx, hy) = (xy - np.asarray(patch.centre)).T, half_sizes(outline)
+    inside = np.hypot(x, y) <= hx if isinstance(outline, Circle) else (np.abs(x) <= hx) & (np.abs(y) <= hy)
+    return np.asarray(inside)
 
 
 def _named(layout: Layout, beam: Beam) -> Ints:
