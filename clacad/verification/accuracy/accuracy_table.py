@@ -304,7 +304,7 @@ def climb(design: Design, window: Window, progress: Progress) -> Ladder:
         mesh = tessellate(window, quads=quads)
         for normals in ("facet", "vertex"):
             run = partial(trace, window, lit.rays, rung="mesh", mesh=mesh, normals=normals, path="size")
-            facts = {"quads": quads, "normals": normals, "triangles": mesh.facet_count}
+            facts: dict[str, Any] = {"quads": quads, "normals": normals, "triangles": mesh.facet_count}
             setting = f"{quads} quads, {normals} normals"
             rows.append(measure_rungs.row(ladder, "mesh", setting, run, repeats=0, **facts))
             forecast.append(MICROSECONDS["mesh"] + MICROSECONDS["mesh, a quad of the side"] * quads)

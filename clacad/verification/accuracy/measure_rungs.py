@@ -331,7 +331,8 @@ def mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
             setting = f"{quads} quads, {normals} normals" + (", float32 vertices" if kind == "f32" else "")
             stored = kind == "f32" and normals == "facet"
             write_s, read_s = _stl_seconds(window, quads) if stored else (None, None)
-            facts = {"quads": quads, "normals": normals, "float": kind, "triangles": mesh.facet_count}
+            facts: dict[str, Any] = {"quads": quads, "normals": normals, "float": kind}
+            facts["triangles"] = mesh.facet_count
             facts["bytes"] = _mesh_bytes(mesh) // (1 if kind == "f64" else 2)
             facts["file_bytes"] = stl_bytes(mesh.facet_count) if stored else None
             rows.append(row(ladder, "mesh", setting, run, prepare, write_s=write_s, read_s=read_s, **facts))
