@@ -10,7 +10,7 @@ from benchmarks.house import measured
 from package_source import syntax
 
 MOST = {
-    "modules": 514,
+    "modules": 505,
     "modules imported by one other only": 82,
     "modules under 60 lines": 13,
     "lines over 110 characters": 0,

@@ -17,8 +17,7 @@ from clacad.cli.option_values import BadOption, load_counted, picture_kind, read
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.imaging import Image
-    from clacad.imaging.best_point import BestPoint
-    from clacad.imaging.image_by_rays import Middle
+    from clacad.imaging.image_by_rays import BestPoint, Middle
 
 TASK = "image"
 

@@ -1,13 +1,15 @@
 """`clacad.image`: the image of a point formed by a sheet, by its law and by traced rays.
 
 Through-focus picture: width of a point's light at each height, and its spot where the width is least.
+
+The point nearest to a bundle of rays, and the distances at which they pass it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -15,7 +17,7 @@ from clacad.base.drawn_figure import drawn, inline_svg, no_formula
 from clacad.base.interactive import Tabular, by_axis, columns_of
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2, Rung
-from clacad.imaging.best_point import BestPoint, best_point, spot_at
+from clacad.base.vectors import axes_near, unit
 from clacad.optics.law import angle_between
 from clacad.optics.law.focusing import along_axes, cell_width
 from clacad.optics.rays import Fate, Rays, TraceResult
@@ -27,6 +29,67 @@ from clacad.tracing.trace import SheetTracer
 
 if TYPE_CHECKING:
     from clacad.sheet.window import Window
+
+
+PARALLEL = 1e-24
+"""Mean square of slopes about their mean below which rays count as parallel: 1e-12 rad squared."""
+
+
+@dataclass(frozen=True, eq=False)
+class BestPoint:
+    """Point at which rays are closest to one another.
+
+    point : (3,) lengths. X* = argmin Σ |(1 − d dᵀ)(X − P)|²; NaN where the rays are parallel.
+    spot : (2,) lengths. Rms distance of the rays from it along x and y, in its plane.
+    """
+
+    point: Floats
+    spot: Pair2
+    rays: int
+
+    @property
+    def missing(self) -> Literal["no light", "parallel"] | None:
+        """Reason why no such point exists, if so: fewer than two rays, or parallel rays."""
+        if np.isfinite(self.point).all():
+            return None
+        return "parallel" if self.rays >= 2 else "no light"
+
+
+def best_point(position: Floats, direction: Floats) -> BestPoint:
+    """Find the point nearest to rays that pass `position` (n, 3), lengths, along unit `direction` (n, 3).
+
+    One 3 × 3 solve, taken about the mean of the positions: their common part would cause cancellation.
+    """
+    lost = BestPoint(np.full(3, np.nan), (np.nan, np.nan), len(position))
+    if len(position) < 2:
+        return lost
+    middle = position.mean(axis=0)
+    axis = direction.mean(axis=0)
+    if np.mean(np.sum((direction - axis) ** 2, axis=1)) < PARALLEL:
+        return lost
+    place = position - middle
+    along = np.einsum("ni,ni->n", place, direction)
+    across = place - along[:, None] * direction
+    # Σ(1 − d dᵀ) as a sum of squares about the mean direction loses nothing where rays are nearly parallel
+    mean = unit(axis)
+    basis = np.stack([*axes_near(mean), mean], axis=1)
+    d = direction @ basis
+    matrix = np.empty((3, 3))
+    matrix[:2, :2] = len(d) * np.eye(2) - d[:, :2].T @ d[:, :2]
+    matrix[:2, 2] = matrix[2, :2] = -(d[:, :2] * d[:, 2:]).sum(axis=0)
+    matrix[2, 2] = np.sum(d[:, :2] ** 2)
+    point = middle + basis @ np.linalg.solve(matrix, (across @ basis).sum(axis=0))
+    x, y = spot_at(position, direction, point)
+    return BestPoint(point, (x, y), len(position))
+
+
+def spot_at(position: Floats, direction: Floats, point: Floats) -> Pair2:
+    """Rms distances along x and y (lengths) at which rays pass a point (3,) in its plane of height z."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = (point[2] - position[:, 2]) / direction[:, 2]
+        off = position[:, :2] + reach[:, None] * direction[:, :2] - point[:2]
+    x, y = np.sqrt(np.mean(off**2, axis=0)).tolist()
+    return x, y
 
 
 RUNGS: tuple[Rung, ...] = ("law", "thin", "surfaces")

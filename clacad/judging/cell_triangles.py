@@ -1,26 +1,113 @@
-"""Pick the triangles of a few cells out of a file of any size, in one pass and bounded memory."""
+"""Pick the triangles of a few cells out of a file of any size, in one pass and bounded memory.
+
+Holes of a plate in a file: each lies where the design has it, as wide and through every body.
+
+A volume, an extent and the light of cells do not notice a hole that lies elsewhere in the land.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from math import pi
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
 from clacad.base.vectors import doubled_normals, lengths, middles
+from clacad.checks.check import Check
 from clacad.formats.mesh.compare_instances import body_facing as body_facing
 from clacad.formats.mesh.compare_instances import levels as levels
 from clacad.formats.mesh.compare_instances import owner as owner
-from clacad.judging.plate_holes import holes_of, wall_areas
 from clacad.mesh.border_samples import in_corners
 from clacad.sheet.like_cell import like_cell
+from clacad.sheet.plate import Hole, Plate
 from clacad.sheet.volume_and_extent import distance_in_cell
-from clacad.sheet.window import WALL, Face, Window, lens_height
+from clacad.sheet.window import WALL, Body, Face, Window, lens_height
 from clacad.solid.marks import pockets
 from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, FacetBody, FacetFace, facet_face, on_land
+
+ROOM: Final = 1e-3
+"""Distance by which the wall of a hole may lie off its circle, as part of the diameter."""
+
+LEAST: Final = 0.9
+"""Least part of a hole's wall that lies on its circle in a sound mesh."""
+
+
+def holes_of(window: Window) -> tuple[Hole, ...]:
+    """Holes through the plate of a window."""
+    return window.outline.holes if isinstance(window.outline, Plate) else ()
+
+
+def wall_areas(window: Window, walls: Floats) -> Floats:
+    """Area (bodies, holes), length², of upright facets (k, 3, 3) that lie on the circle of each hole."""
+    holes = holes_of(window)
+    found = np.zeros((len(window.bodies), len(holes)))
+    for n, hole in enumerate(holes):
+        near = (np.abs(walls[:, 0, :2] - (hole.x, hole.y)) <= 0.6 * hole.diameter).all(axis=1)
+        some = walls[near]
+        off = np.hypot(some[..., 0] - hole.x, some[..., 1] - hole.y) - 0.5 * hole.diameter
+        some = some[(np.abs(off) <= ROOM * hole.diameter).all(axis=1)]
+        area, height = 0.5 * np.linalg.norm(doubled_normals(some), axis=1), some[..., 2].mean(axis=1)
+        for number, body in enumerate(window.bodies):
+            low, high = _land(body)
+            found[number, n] = area[(height > low) & (height < high)].sum()
+    return found
+
+
+def _land(body: Body) -> tuple[float, float]:
+    """Heights (lengths) of the land on both sides of a body."""
+    front, back = (face.vertex[2] if face.land is None else face.land for face in (body.front, body.back))
+    return front, back
+
+
+def lost_in_mesh(window: Window, areas: Floats, present: Sequence[str] | None) -> list[Hole]:
+    """Holes whose wall is not found in every body that a file holds; `areas` from `wall_areas`."""
+    held = [present is None or body.name in present for body in window.bodies]
+    thick = np.array([high - low for low, high in map(_land, window.bodies)])
+    return [
+        hole
+        for hole, area in zip(holes_of(window), areas.T, strict=True)
+        if (area < LEAST * pi * hole.diameter * thick)[held].any()
+    ]
+
+
+def lost_in_solid(
+    window: Window, found: Iterable[Mapping[str, Any]], mm: float, alone: bool = True
+) -> list[Hole]:
+    """Holes that none of the upright cylinders `found` in a file is, or that another of them overlaps.
+
+    found : of `clacad.formats.step.lens_placements.holes_in`
+    mm : millimetres in a design unit
+    alone : whether `found` holds holes only, so that none may have its axis in another
+    """
+    across = np.array(
+        [[*one["at"][:2], one["diameter"]] for one in found if abs(one["axis"][2]) > 1.0 - ROOM]
+    )
+    across = across.reshape(-1, 3) / mm
+    lost = []
+    for hole in holes_of(window):
+        off = np.hypot(across[:, 0] - hole.x, across[:, 1] - hole.y)
+        room = ROOM * hole.diameter
+        same = (off <= room) & (np.abs(across[:, 2] - hole.diameter) <= room)
+        if not same.any() or (alone and (~same & (off < 0.5 * hole.diameter)).any()):
+            lost.append(hole)
+    return lost
+
+
+def with_holes(check: Check, lost: Sequence[Hole], unit: str) -> Check:
+    """Return the check of a shape, failed where holes are lost."""
+    if not lost or check.state not in ("pass", "fail", "warn"):
+        return check
+    one = lost[0]
+    words = (
+        f"{check.sentence}; {len(lost)} of the holes through the plate are not where the design has them,"
+        f" such as that of diameter {one.diameter:.6g} {unit} at ({one.x:.6g}, {one.y:.6g})"
+    )
+    return replace(check, state="fail", sentence=words)
+
 
 if TYPE_CHECKING:
     pass
@@ -98,6 +185,11 @@ class CellFacets:
         sources = {source for key in keys for source, _ in self.repeats.get(key, [])}
         alone = all(key not in self.facets and len(self.repeats[key]) == 1 for key in keys)
         return sources.pop() if alone and len(sources) == 1 else cell
+
+    def alike(self, window: Window, cell: int) -> tuple[Window, Ints]:
+        """Uniform equivalent of a chosen cell of a window, and its index (2,)."""
+        index = np.array(self.cells[cell], dtype=np.int64)
+        return like_cell(window, index, widest=False), index
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +319,17 @@ class Gatherer:
         return number
 
 
+def own_facets(window: Window, quads: int) -> CellFacets:
+    """Facets of a window of one cell as its own mesh has them."""
+    from clacad.mesh import tessellate
+
+    gatherer = Gatherer(window, [(0, 0)])
+    for body in tessellate(window, quads=quads).bodies:
+        for rows in body.rows():
+            gatherer.look(np.asarray(rows, dtype=np.float64))
+    return gatherer.result
+
+
 def telescopelet(
     window: Window,
     found: CellFacets,
@@ -240,8 +343,7 @@ def telescopelet(
     onto_design : bool
         Move every corner along z onto the design's own face; the result is the design with the file's facets.
     """
-    index = np.array(found.cells[cell], dtype=np.int64)
-    window = like_cell(window, index, widest=False)
+    window, index = found.alike(window, cell)
     bodies = []
     for number, body in enumerate(window.bodies):
         faces: list[AnyFace] = []

@@ -13,7 +13,6 @@ from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints
 from clacad.judging.cell_triangles import CellFacets, body_facing, exact_height, levels, owner, telescopelet
 from clacad.sheet.face_order import media_of
-from clacad.sheet.like_cell import like_cell
 from clacad.sheet.vignetting import focal_ratio
 from clacad.sheet.window import Face, Window, column, face_height, lens_height, lens_height_and_normal
 from clacad.tracing.facets.telescopelet import FacetBody, FacetFace, first_crossing, on_land
@@ -226,15 +225,12 @@ def deviations(window: Window, gathered: CellFacets, present: Sequence[str] | No
     """Deviation of the facets of every chosen cell from the exact faces; `present` as for `telescopelet`."""
     return [
         deviation(
-            _like(window, gathered, k), telescopelet(window, gathered, k, present), FEWER if k else POINTS
+            gathered.alike(window, k)[0],
+            telescopelet(window, gathered, k, present),
+            FEWER if k else POINTS,
         )
         for k in range(len(gathered.cells))
     ]
-
-
-def _like(window: Window, gathered: CellFacets, cell: int) -> Window:
-    """Uniform equivalent of a chosen cell."""
-    return like_cell(window, np.array(gathered.cells[cell], dtype=np.int64), widest=False)
 
 
 def _compare_facets(

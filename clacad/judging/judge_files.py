@@ -33,12 +33,11 @@ from clacad.exporting.formats.workshop import kind_named
 from clacad.exporting.roles import Role
 from clacad.judging.delivery import Delivery, Inspection, Subject, integrity, same_design, table_check
 from clacad.judging.judge_part import judge_placed, judge_returned
-from clacad.judging.map_file import judge_map, kind_of_map
+from clacad.judging.map_file import judge_map, judge_points, judge_scaled, kind_of_map, named_uncompensated
 from clacad.judging.mesh_file import judge_mesh
 from clacad.judging.mesh_light import MeshEvidence
 from clacad.judging.registration import Placed, place
 from clacad.judging.step_file import hole_words, judge_solid, lies_elsewhere
-from clacad.judging.tooling import judge_points, judge_scaled, named_uncompensated
 from clacad.judging.unit_and_cells import MISREAD, held_bodies, unit_of, written_window
 from clacad.judging.without_optics import judge_other, no_optics, whole_delivery
 from clacad.prescription.prescribe import prescribe

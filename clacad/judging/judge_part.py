@@ -24,7 +24,7 @@ from clacad.formats.mesh.measure import Measure, measure
 from clacad.judging.cell_triangles import CellFacets, Gatherer, SideFacets
 from clacad.judging.damage import SHOWN, find_dents, find_features
 from clacad.judging.delivery import Inspection
-from clacad.judging.deviation_map import OUTLIER, DeviationMap, Mapper
+from clacad.judging.deviation_map import OUTLIER, DeviationMap, Mapper, deviation_map
 from clacad.judging.face_deviation import deviations
 from clacad.judging.mesh_file import judge_mesh
 from clacad.judging.mesh_light import MeshEvidence, checks_of_light, lit_cells
@@ -131,12 +131,11 @@ def _with_damage(
     design: Design, placed: Placed, checks: list[Check], evidence: MeshEvidence
 ) -> tuple[list[Check], MeshEvidence]:
     """Add the damage of a part that was judged to rounding."""
-    mapper = Mapper(placed.window, design.unit, placed.present, placed.mesh.facet_count)
-    for chunk in placed.mesh.chunks():
-        mapper.look(chunk * placed.factor)
+    chunks, count = (chunk * placed.factor for chunk in placed.mesh.chunks()), placed.mesh.facet_count
+    found = deviation_map(placed.window, design.unit, chunks, placed.present, count)
     gathered = evidence.gathered
     limit = design.check.shape * own_sag_error(gathered) if gathered is not None else 0.0
-    mapped, told, detail = _damage(placed, mapper.result(), limit)
+    mapped, told, detail = _damage(placed, found, limit)
     facts = {**evidence.facts, "deviation": mapped}
     if not told:
         return checks, replace(evidence, facts=facts)
@@ -287,10 +286,9 @@ def _closed(placed: Placed, found: Measure, asked: Inspection) -> tuple[Check, R
             f"({rim.count} edges have no partner)"
         )
         return CLOSED.check("warn", sentence, float(rim.count), required=False, **common), Role.SCAN
-    at = ", ".join(f"{v:.6g}" for v in rim.place)
     sentence = (
         f"the surface is not closed or not consistently wound: {rim.count} edges of {found.facets} facets"
-        f" have no partner, one at ({at}) in file units; a scan would be open all along its rim"
+        f" have no partner, one at ({rim.at}) in file units; a scan would be open all along its rim"
     )
     return CLOSED.check("fail", sentence, float(rim.count), **common), role
 

@@ -5,13 +5,24 @@ The format of a file is that of its manifest, else that of its suffix. A file wi
 of the design's structured faces: the best-fitting one is named.
 
 Light through a map: the heights of one cell of a face as a bicubic surface, the other faces as designed.
+
+Judge files that make the part and are not the part: inserts, tool points, dose maps, compensated files.
+
+The file must be what the process turns into the part, and light must obey the law through the part that the
+process makes of it. Where the file is something else, the check of shape names what: not compensated, not
+turned, mirrored, scaled the wrong way.
+
+Light: deviations of the file over one cell are fitted by Legendre polynomials to degree 8; the process makes
+of that form the face through which rays are traced. Steps and facets are texture, which rays do not see.
 """
 
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from math import inf
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +31,7 @@ from clacad.checks.check import Check, other
 from clacad.checks.file_kinds import READABLE, SHAPE, THROUGH_FILE, unreadable
 from clacad.exporting.formats import registry
 from clacad.exporting.formats.file_kind import FaceFile, FileKind, Reading
+from clacad.exporting.formats.workshop import is_insert, surface_misfit
 from clacad.exporting.limits import refuse_no_cell
 from clacad.exporting.roles import Role
 from clacad.formats.maps.sag import structured_faces
@@ -27,12 +39,20 @@ from clacad.judging.delivery import Inspection, Subject
 from clacad.judging.file_light import light_checks, measure_light
 from clacad.judging.mesh_light import lit_cells, seen_cell
 from clacad.light.measure import Send
+from clacad.optics.fit import legendre
 from clacad.sheet.like_cell import named_cell
 from clacad.sheet.representative_cells import central_cell
-from clacad.sheet.window import Face, Window
+from clacad.sheet.shrunk import TURN, growth, insert_window
+from clacad.sheet.window import Face, Window, face_height
 from clacad.storage.errors import BadRequest, ExportError, UnreadableFile
 from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, FacetBody, sampled_face, trace_facets
 from clacad.tracing.worst_cell import SeenCell
+
+if TYPE_CHECKING:
+    from clacad.exporting.compensation import Compensation
+    from clacad.exporting.formats.file_kind import FileKind
+    from clacad.judging.delivery import Inspection, Subject
+
 
 RAYS, POINT_RAYS = 8192, 1024
 """Most rays of the main bundle, and of each field point."""
@@ -186,3 +206,224 @@ def _compared(window: Window, subject: Subject, reading: Reading) -> tuple[float
 def _labelled(window: Window, name: str) -> bool:
     """Whether a file's name contains the name of a face."""
     return any(f".{label}." in name for _, _, label in structured_faces(window))
+
+
+DEGREE, GRID = 8, 33
+"""Highest total degree of the fitted form; nodes along a cell side at which it is given to the tracer."""
+
+CLOSE = 20.0
+"""Deviation, over the room, up to which a wrong file counts as explained."""
+
+
+def judge_points(
+    asked: Inspection, window: Window, subject: Subject, kind: FileKind, compensation: Compensation
+) -> list[Check]:
+    """Judge a file of one face by its points: readable, shape, and light through the part that it makes.
+
+    window : The part, with the cells that were written.
+    """
+    common = asked.common
+    try:
+        number, of, points = _read(window, subject, kind, compensation)
+        worst, room = _worst(of, points), kind.reading.room * min(of.window.lattice.pitch)
+        fixed = kind.reading.face(of) if kind.reading.face is not None else None
+    except DAMAGED as error:
+        return [unreadable(error, **common), SHAPE.not_run("the file cannot be read", **common)]
+    if fixed is not None and not is_insert(kind.word):
+        worst, room = fixed[0] / of.scale, fixed[1] / of.scale
+    sentence = (
+        f"{len(points):,} points of {of.label}: up to {worst * of.scale:.3g} mm off what makes the part"
+    )
+    if not worst <= room and (reason := _reason(of, points, compensation, CLOSE * room)):
+        sentence += f"; {reason}"
+    source = other("rounding of the format")
+    shape = SHAPE.judge(worst * of.scale, room * of.scale, sentence, unit="mm", limit_source=source, **common)
+    found = READABLE.check("pass", f"{kind.word}, {len(points):,} points of {of.label}", **common)
+    try:
+        light = _light(asked, window, window.faces[number], of, points, compensation)
+    except (ExportError, ValueError, ArithmeticError) as error:
+        why = f"no light can be sent through the part that it makes: {error}"
+        light = [one.not_run(why, **common) for one in THROUGH_FILE]
+    return [found, shape, *light]
+
+
+def _read(
+    window: Window, subject: Subject, kind: FileKind, compensation: Compensation
+) -> tuple[int, FaceFile, Floats]:
+    """Number of the face of a file among those of the part, the file with its own window, and its points."""
+    scaled = compensation.window(window)
+    named = [one for one in structured_faces(scaled) if f".{one[2]}." in subject.name]
+    best: tuple[float, int, FaceFile, Floats] | None = None
+    for body, face, label in named or structured_faces(scaled):
+        number = scaled.number_of(face)
+        of = FaceFile(scaled, body, face, label, subject.path)
+        if is_insert(kind.word):
+            steel = insert_window(scaled, face, label)
+            of = FaceFile(steel, steel.bodies[0], steel.bodies[0].back, label, subject.path)
+        assert kind.reading.points is not None
+        points = kind.reading.points(of)
+        off = _worst(of, points)
+        if best is None or off < best[0]:
+            best = (off, number, of, points)
+    if best is None:
+        raise ValueError("the design has no face with lenses")
+    return best[1:]
+
+
+def _worst(of: FaceFile, points: Floats) -> float:
+    """Largest distance of points from their face; infinite where none lies on a cell."""
+    off = surface_misfit(of, points)
+    return float(np.nanmax(np.abs(off))) if np.isfinite(off).any() else np.inf
+
+
+def _reason(of: FaceFile, points: Floats, compensation: Compensation, room: float) -> str:
+    """What a wrong file is instead; "" where nothing that is tried explains it."""
+    return next(
+        (words for words, moved in _instead(of, points, compensation) if _worst(of, moved) <= room), ""
+    )
+
+
+def _instead(of: FaceFile, points: Floats, compensation: Compensation) -> Iterator[tuple[str, Floats]]:
+    """Words for a mistake, and the points as they would be without it."""
+    size = np.array(growth(compensation.shrinkage))
+    apex = np.array([0.0, 0.0, of.face.vertex[2]])
+    shrinks = "it is not compensated for the shrinkage of the process"
+    wrong = "it is scaled by 1 - s where 1/(1 - s) is needed"
+    turned = (
+        "it is not turned: the cavity is turned by 180 degrees about x, so that it looks out of the steel"
+    )
+    mirrored = "it is mirrored in z and not turned by 180 degrees about x"
+    upside = np.array([1.0, 1.0, -1.0])
+    scales = [(1.0, ""), *([(size, shrinks), (size * size, wrong)] if (size != 1.0).any() else [])]
+    for way, said in ((np.ones(3), ""), (np.diag(TURN), turned), (upside, mirrored)):
+        for factor, more in scales:
+            words = " and ".join(word for word in (said, more) if word)
+            if words:
+                yield words, (points - apex) * way * factor + apex
+
+
+# -- light ---------------------------------------------------------------------------------------------
+
+
+def _light(
+    asked: Inspection, window: Window, face: Face, of: FaceFile, points: Floats, compensation: Compensation
+) -> list[Check]:
+    """Checks of light through the part that the process makes of a file of one face."""
+    one = lit_cell(asked, window)
+    like = one.like.faces[window.number_of(face)]
+    made, step = _made(one.like, like, of, points, one.index, compensation)
+    through = made_bodies(one.like, like, one.index, made, step)
+    what = f"form of the part that it makes, without roundings and texture ({of.label}; the rest as designed)"
+    return light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)
+
+
+def _made(
+    window: Window,
+    face: Face,
+    of: FaceFile,
+    points: Floats,
+    cell: tuple[int, int],
+    compensation: Compensation,
+) -> tuple[Floats, Floats]:
+    """Samples (m, 3) of the made face over a cell, cell frame of the part, and their step (2,).
+
+    window, face : Of the part, uniform equivalent of the cell.
+    """
+    insert = of.window.bodies[0].name == of.label  # the steel is named after its face
+    turned = insert and face.side < 0
+    flipped = -1.0 if turned else 1.0
+    middle = _cell_of_file(of, cell, turned)
+    index, _, _ = of.window.locate(of.face.array or 0, middle[:1], middle[1:])
+    own = of.window.in_cell(of.face, index[0])
+    fit, half = _form(of, points, middle)
+    grow = np.array(growth(compensation.shrinkage))
+    tile = window.lattice_of(face.array or 0).tile()
+    reach = np.abs(tile).max(axis=0)
+    x, y = np.meshgrid(*(np.linspace(-r, r, GRID) for r in reach))
+    u, v = x.ravel() * grow[0], flipped * y.ravel() * grow[1]
+    height = face_height(of.window, own, u, v) + fit(u, v) - own.vertex[2]
+    outward = -height if insert else -of.face.side * height
+    sunk = compensation.sink * (1.0 - (u / half[0]) ** 2) * (1.0 - (v / half[1]) ** 2)
+    raised = compensation.sink  # heights are counted from the apex of the bent lens
+    z = face.vertex[2] - face.side * (outward + raised - sunk) / grow[2]
+    return np.stack([x.ravel(), y.ravel(), z], axis=1), 2.0 * reach / (GRID - 1)
+
+
+def _cell_of_file(of: FaceFile, cell: tuple[int, int], turned: bool) -> Floats:
+    """Middle (2,) of a cell in the file; of a turned one the cell on the other side of the x axis."""
+    middle = of.window.centres(of.face.array or 0, np.array(cell, dtype=np.int64))
+    if not turned:
+        return middle
+    shift = np.array(of.window.placements[of.face.array or 0].shift)
+    return np.asarray((middle - shift) * [1.0, -1.0] + shift)
+
+
+def _form(of: FaceFile, points: Floats, middle: Floats) -> tuple[Form, Floats]:
+    """Deviation of a file from its face over a cell, as Legendre polynomials, and half the cell (2,).
+
+    Raises ValueError: Too few points lie over the cell.
+    """
+    half = np.abs(of.window.lattice_of(of.face.array or 0).tile()).max(axis=0)
+    local = (points[:, :2] - middle) / half
+    off = surface_misfit(of, points)
+    inside = (np.abs(local) <= 1.0 + 1e-9).all(axis=1) & np.isfinite(off)
+    if inside.sum() < 24:
+        raise ValueError(f"{inside.sum()} points lie over a cell; 24 and more give a form")
+    degree = min(DEGREE, int(np.sqrt(inside.sum() / 2.0)) - 1)
+    base = legendre(local[inside, 0], local[inside, 1], (degree + 1) * (degree + 2) // 2)
+    return Form(half, np.linalg.lstsq(base, off[inside], rcond=None)[0]), half
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """A form over a cell: coefficients (k,) of Legendre polynomials of u and v over half the cell (2,)."""
+
+    half: Floats
+    weights: Floats
+
+    def __call__(self, u: Floats, v: Floats) -> Floats:
+        """Height (n,) over places of the cell."""
+        return np.asarray(legendre(u / self.half[0], v / self.half[1], len(self.weights)) @ self.weights)
+
+
+# -- files of the whole part ---------------------------------------------------------------------------
+
+
+def judge_scaled(
+    asked: Inspection, window: Window, compensation: Compensation, checks: Sequence[Check]
+) -> list[Check]:
+    """Checks of a compensated file of the part, from those of the file as it is.
+
+    A part that is the file at another size has the same light. Of any other the light is that through the
+    faces that the process makes of the file's, where the shape of the file is right.
+
+    checks : Against the sheet as files hold it.
+    """
+    dark = [check for check in checks if check.where != "file" or check.kind not in THROUGH_FILE]
+    if compensation.uniform:
+        return list(checks)
+    shape = SHAPE.first(checks)
+    if shape is None or shape.state != "pass":
+        why = "the file is not what the process makes the part of"
+        return [*dark, *(one.not_run(why, **asked.common) for one in THROUGH_FILE)]
+    one = lit_cell(asked, window)
+    what = "faces as the process makes them of it"
+    return [*dark, *light_of_cell(asked, one, lambda lit: one.send(one.placed(lit)), what)]
+
+
+def named_uncompensated(
+    checks: Sequence[Check], bare: Sequence[Check], compensation: Compensation
+) -> list[Check]:
+    """The checks, of which that of shape names a file that is the part itself.
+
+    bare : Checks of the file against the part.
+    """
+    shape = SHAPE.first(bare)
+    if shape is None or shape.state != "pass":
+        return list(checks)
+    shrinkage = ", ".join(f"{100 * s:g}" for s in compensation.shrinkage)
+    words = f"it is the part itself, not compensated for the process ({shrinkage} % of shrinkage)"
+    return [
+        replace(check, sentence=f"{check.sentence}; {words}") if check.kind is SHAPE else check
+        for check in checks
+    ]

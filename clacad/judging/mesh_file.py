@@ -23,15 +23,13 @@ from clacad.formats.mesh.compare_instances import PartPlaces, RowPlaces, Standin
 from clacad.formats.mesh.file_mesh import FileMesh, Part, kinds
 from clacad.formats.mesh.measure import MOST_KINDS, Measure, joined, measure, measure_repeated
 from clacad.judging import mesh_wholeness
-from clacad.judging.cell_triangles import CellFacets, Gatherer
+from clacad.judging.cell_triangles import CellFacets, Gatherer, lost_in_mesh, with_holes
 from clacad.judging.delivery import Inspection
 from clacad.judging.face_deviation import Deviation, deviations
 from clacad.judging.mesh_light import MeshEvidence, checks_of_light, lit_cells
 from clacad.judging.mesh_shape import chord_volume, shape_check, volume_check
-from clacad.judging.plate_holes import lost_in_mesh, with_holes
 from clacad.optics.law.orientation import angle_between
 from clacad.sheet.feasibility import body_range
-from clacad.sheet.like_cell import like_cell
 from clacad.sheet.window import Face, Window, lens_height_and_normal
 from clacad.tracing.facets.telescopelet import on_land
 
@@ -84,8 +82,7 @@ def _rms(window: Window, gathered: CellFacets, body: int, side: int, cell: int) 
     normals = gathered.corner_normals(body, side, cell)
     if normals is None or not len(normals):
         return None
-    index = np.array(gathered.cells[cell], dtype=np.int64)
-    window = like_cell(window, index, widest=False)
+    window, index = gathered.alike(window, cell)
     piece = window.bodies[body]
     face = (piece.front, piece.back)[side]
     local = gathered.corners(body, side, cell) - [*window.centres(owner(piece, face), index), 0.0]

@@ -18,7 +18,6 @@ from clacad.judging.cell_triangles import CellFacets, exact_height, owner, teles
 from clacad.judging.delivery import Inspection
 from clacad.judging.face_deviation import FEWER, POINTS, Deviation, corner_distance, deviation, forecast_rms
 from clacad.judging.unit_and_cells import UNITS
-from clacad.sheet.like_cell import like_cell
 from clacad.sheet.volume_and_extent import Integral, body_volume, whole_extent
 from clacad.sheet.window import Body, Window
 from clacad.tracing.facets.telescopelet import on_land
@@ -233,8 +232,7 @@ def clean_cut(
     `deviation`.
     """
     bodies = telescopelet(window, gathered, cell, present, onto_design=True)
-    like = like_cell(window, np.array(gathered.cells[cell], dtype=np.int64), widest=False)
-    return deviation(like, bodies, FEWER if cell else POINTS)
+    return deviation(gathered.alike(window, cell)[0], bodies, FEWER if cell else POINTS)
 
 
 def clean_forecast(
@@ -294,8 +292,7 @@ def _rounding_slope(window: Window, corners: Floats) -> float:
 
 def _corners(window: Window, gathered: CellFacets, cell: int, present: Sequence[str] | None) -> float:
     """Largest distance of any corner of a chosen cell's facets from the design's faces."""
-    index = np.array(gathered.cells[cell], dtype=np.int64)
-    window = like_cell(window, index, widest=False)
+    window, index = gathered.alike(window, cell)
     found = [0.0]
     for number, body in enumerate(window.bodies):
         if present is not None and body.name not in present:

@@ -123,35 +123,14 @@ def closed_check(
     sentence = "the surface is not closed or not consistently wound"
     value = None
     if found.facets > COUNTED_FACETS >= mesh.stored_count:
-        counted = [_open_edges(part.corners(0, part.facet_count)) for part in mesh.parts]
-        value, place = max(counted, key=lambda one: one[0])
-        at = ", ".join(f"{v:.6g}" for v in place)
-        sentence += f": {value} edges of one instance have no partner, one at ({at}) in its own frame"
+        worst = max(map(rims, mesh.parts), key=lambda one: one.count)
+        value = worst.count
+        sentence += f": {value} edges of one instance have no partner, one at ({worst.at}) in its own frame"
     elif found.facets <= COUNTED_FACETS:
-        value, place = _open_edges(np.concatenate(list(mesh.chunks())))
-        at = ", ".join(f"{v:.6g}" for v in place)
-        sentence += f": {value} edges have no partner, one at ({at}) in file units"
+        worst = rims(mesh)
+        value = worst.count
+        sentence += f": {value} edges have no partner, one at ({worst.at}) in file units"
     return CLOSED.check("fail", sentence, value, detail=facts, **common)
-
-
-def _open_edges(corners: Floats) -> tuple[int, Floats]:
-    """Count directed edges without a partner, and return the middle of one."""
-    vertices, facets = welded(corners)
-    start = facets.ravel()
-    end = np.roll(facets, -1, axis=1).ravel()
-    size = np.int64(len(vertices))
-    forward, times = np.unique(start * size + end, return_counts=True)
-    backward, answers = np.unique(end * size + start, return_counts=True)
-    both = np.concatenate([forward, backward])
-    sign = np.concatenate([times, -answers])
-    keys, place = np.unique(both, return_inverse=True)
-    balance = np.bincount(place, weights=sign)
-    open_keys = keys[balance != 0]
-    if not len(open_keys):
-        return 0, np.zeros(3)
-    a, b = divmod(int(open_keys[0]), int(size))
-    # an unmatched edge is found once from each of its ends
-    return int(np.abs(balance).sum() / 2), 0.5 * (vertices[a] + vertices[b])
 
 
 def pieces_check(
@@ -330,10 +309,16 @@ class Rims:
     closed_pieces: int
     corners: Floats
 
+    @property
+    def at(self) -> str:
+        """Text of the place."""
+        return ", ".join(f"{v:.6g}" for v in np.nan_to_num(self.place))
 
-def rims(mesh: FileMesh) -> Rims:
-    """Find the boundary of a mesh, and the number of pieces without a boundary."""
-    corners, facets = welded(np.concatenate(list(mesh.chunks())))
+
+def rims(mesh: FileMesh | Part) -> Rims:
+    """Find the boundary of a mesh, or of a part at none of its places; count pieces without a boundary."""
+    whole = mesh.corners(0, mesh.facet_count) if isinstance(mesh, Part) else np.concatenate([*mesh.chunks()])
+    corners, facets = welded(whole)
     start, end = facets.ravel(), np.roll(facets, -1, axis=1).ravel()
     size = np.int64(len(corners))
     same = start == end  # a facet without area has no such edge

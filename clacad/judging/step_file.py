@@ -25,11 +25,11 @@ from clacad.checks.file_kinds import (
     unreadable,
 )
 from clacad.exporting.formats.registry import longest_wait, reading_worker
+from clacad.judging.cell_triangles import lost_in_solid, with_holes
 from clacad.judging.delivery import Inspection
 from clacad.judging.file_light import light_checks
 from clacad.judging.mesh_shape import NO_INTEGRAL, volume_of
 from clacad.judging.mesh_wholeness import misnamed
-from clacad.judging.plate_holes import lost_in_solid, with_holes
 from clacad.judging.step_light import FACE_RAYS, FaceTracer, light_of_cells
 from clacad.optics.surface import Quadric
 from clacad.sheet.cell_heights import closed_volume

@@ -30,9 +30,8 @@ from clacad.paper.paper_figures import AtlasFinding
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import aim, offsets, rays
 from clacad.rendering.compiled.scene_hits import look_all
-from clacad.rendering.compiled.scene_tables import Tables, tables
 from clacad.rendering.picture_files import encode
-from clacad.rendering.scene_arrays import MESH, Primitive, set_stage, stage_of
+from clacad.rendering.scene_arrays import MESH, Primitive, Tables, set_stage, stage_of, tables
 from clacad.scene import Scene
 from clacad.sheet.window import Window
 from clacad.tracing.facets.hierarchy import mesh_tree

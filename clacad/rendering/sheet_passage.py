@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Rung
 from clacad.effects import declared_all
+from clacad.effects.engine.homogeneous_light import LightRays
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.stack import Stack, StackedSheet, standing
 from clacad.storage.errors import BadRequest
@@ -26,25 +26,6 @@ if TYPE_CHECKING:
     from clacad.mesh import Mesh
     from clacad.scene import Scene, SheetSpec
     from clacad.sheet.window import Window
-
-
-@dataclass(frozen=True, eq=False)
-class Beyond:
-    """Rays that carry light from behind the sheet to the camera.
-
-    parent : (m,) ints. The launched ray each one belongs to.
-    position, direction : (m, 3), window units
-    flux : (m,)
-    """
-
-    parent: NDArray[np.intp]
-    position: Floats
-    direction: Floats
-    flux: Floats
-
-    def part(self, rows: Bools) -> Beyond:
-        """Return some of the rays."""
-        return Beyond(self.parent[rows], self.position[rows], self.direction[rows], self.flux[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +78,7 @@ class Passage:
 
     def light_of_all(
         self, window: Window, rays: Rays, compiled: bool, between: Between | None = None
-    ) -> tuple[Beyond, Bools, Floats | None]:
+    ) -> tuple[LightRays, Bools, Floats | None]:
         """Trace camera rays through every sheet; return what shines, and which rays (n,) met a sheet.
 
         Returns also the light (n, 3) of objects between sheets, None without `between`.
@@ -107,7 +88,7 @@ class Passage:
         beyond, result = self.light(window, rays, compiled)
         return beyond, np.asarray(result.fate != Fate.MISSED), None
 
-    def light(self, window: Window, rays: Rays, compiled: bool) -> tuple[Beyond, TraceResult]:
+    def light(self, window: Window, rays: Rays, compiled: bool) -> tuple[LightRays, TraceResult]:
         """Trace a block of rays through one sheet, in its frame, on this thread; return what shines."""
         known = window.uniform or self.rung in (
             "surfaces",
@@ -120,9 +101,9 @@ class Passage:
         if self.plain or self.plan is None:
             result = SheetTracer(window, self.rung, threads=1, path=path, **options)(rays)
             rows = np.flatnonzero(np.isin(result.fate, self.shining))
-            return Beyond(rows, result.position[rows], result.direction[rows], result.flux[rows]), result
+            return LightRays(rows, result.position[rows], result.direction[rows], result.flux[rows]), result
         light, result = self.plan.light(window, rays, threads=1, path=path, **options)
-        return Beyond(light.parent, light.position, light.direction, light.flux), result
+        return light, result
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +124,7 @@ Between = Callable[[Floats, Floats, Floats], tuple[Floats, Bools]]
 
 def through_all(
     several: tuple[StackedPassage, ...], rays: Rays, compiled: bool, between: Between | None = None
-) -> tuple[Beyond, Bools, Floats | None]:
+) -> tuple[LightRays, Bools, Floats | None]:
     """Trace camera rays through several sheets; return what shines, and which rays (n,) met any.
 
     Frame and unit are those of the first sheet. Objects between sheets stop rays; their light (n, 3) is
@@ -151,7 +132,7 @@ def through_all(
     """
     many = len(rays)
     way = rays.direction / np.linalg.norm(rays.direction, axis=1)[:, None]
-    light = Beyond(np.arange(many), rays.position, way, np.ones(many))
+    light = LightRays(np.arange(many), rays.position, way, np.ones(many))
     met = np.zeros(many, dtype=bool)
     lit = None if between is None else np.zeros((many, 3))
     for number, one in enumerate(several):
@@ -168,7 +149,7 @@ def through_all(
         met[parent[~missed]] = True
         if one.opaque and number:  # outside the first sheet it is the caller who shows nothing
             met[parent] = True
-        passed = Beyond(
+        passed = LightRays(
             parent[beyond.parent],
             leaving(one.sheet, rung, beyond.position),
             beyond.direction,
@@ -176,12 +157,12 @@ def through_all(
         )
         past = ~ahead
         past[rows[missed]] = not one.opaque
-        light = _joined(light, past, passed)
+        light = LightRays.joined([light.take(past), passed])
     shining = met[light.parent]
-    return light.part(shining), met, lit
+    return light.take(shining), met, lit
 
 
-def _stopped(light: Beyond, front: float, met: Bools, between: Between, lit: Floats) -> Beyond:
+def _stopped(light: LightRays, front: float, met: Bools, between: Between, lit: Floats) -> LightRays:
     """Rays that reach the plane of the next sheet; `lit` gains what stops the others.
 
     A ray that has met no sheet so far is stopped, too: it is shown with those that miss all sheets.
@@ -195,13 +176,7 @@ def _stopped(light: Beyond, front: float, met: Bools, between: Between, lit: Flo
     np.add.at(lit, light.parent[shown], colours)
     kept = np.ones(len(light.parent), dtype=bool)
     kept[rows] = False
-    return light.part(kept)
-
-
-def _joined(light: Beyond, kept: Bools, more: Beyond) -> Beyond:
-    """Concatenate the kept rays of a list and those of another one."""
-    names = ("parent", "position", "direction", "flux")
-    return Beyond(*(np.concatenate([getattr(light, name)[kept], getattr(more, name)]) for name in names))
+    return light.take(kept)
 
 
 def stack_of(scene: Scene) -> Stack:

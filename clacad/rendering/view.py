@@ -18,14 +18,15 @@ from clacad.optics.rays import Rays
 from clacad.rendering.camera import SpectralLine, View, Viewing, digits, lines
 from clacad.rendering.scene_arrays import BOX, FLOOR, SCREEN, SceneArrays, set_stage
 from clacad.rendering.scene_hits import background, look
-from clacad.rendering.sheet_passage import Between, Beyond, Passage, plan_passage
+from clacad.rendering.sheet_passage import Between, Passage, plan_passage
 from clacad.scene import Camera, Scene
 from clacad.sheet.face_order import media_of
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
-from clacad.tracing.layout import lay_out
+from clacad.tracing.layout import half_sizes, lay_out
 
 if TYPE_CHECKING:
+    from clacad.effects.engine.homogeneous_light import LightRays
     from clacad.rendering.compiled.pixels import Pane
 
 
@@ -130,7 +131,7 @@ def kernels_are_kept(viewing: Viewing, view: View) -> bool:
         eye = _eye(view, SampleRange(0, 1, 1))
         return is_kept(sample_all, (eye, viewing.pane, viewing.tables, none, none, 1, rows, rows))
     from clacad.rendering.compiled.scene_hits import look_all
-    from clacad.tracing.compiled.surfaces import rung_is_kept
+    from clacad.tracing.compiled.chunk import rung_is_kept
 
     rows, flat = np.zeros((0, 3)), np.zeros(0)
     looked = (viewing.tables, rows, rows, flat, rows, np.zeros(0, np.bool_), flat)
@@ -167,7 +168,7 @@ def set_up(
     made = pane = None
     between = bool(planned.several) and _lies_between(stage, planned, scale)
     if compiled:
-        from clacad.rendering.compiled.scene_tables import tables
+        from clacad.rendering.scene_arrays import tables
 
         made = tables(stage)
         if not planned.several and scene.sheet.tint == UNTINTED:
@@ -217,19 +218,10 @@ def _lies_between(stage: SceneArrays, passage: Passage, scale: float) -> bool:
 def sheet_box(window: Window) -> Floats:
     """Box (low, high) round all bodies, a cell wider on every side, window units."""
     boxes = [place.extent(window.lattice) for place in window.placements]
-    outline = getattr(window.outline, "diameter", None)
-    half = (
-        (outline, outline)
-        if outline
-        else (getattr(window.outline, "width", 0.0), getattr(window.outline, "height", 0.0))
-    )
-    edges = np.array(
-        boxes
-        + [
-            (sx - half[0] / 2, sx + half[0] / 2, sy - half[1] / 2, sy + half[1] / 2)
-            for sx, sy in window.shifts
-        ]
-    )
+    shape = window.outline
+    hx, hy = (0.0, 0.0) if shape is None or isinstance(shape, Plate) else half_sizes(shape)
+    boxes += [(sx - hx, sx + hx, sy - hy, sy + hy) for sx, sy in window.shifts]
+    edges = np.array(boxes)
     if isinstance(window.outline, Plate):
         edges = np.append(edges, [window.outline.box], axis=0)
     pad = 2.0 * window.lattice.circumradius + window.land.border
@@ -282,7 +274,7 @@ def _between(viewing: Viewing) -> Between:
 
 
 def _through(
-    viewing: Viewing, position: Floats, direction: Floats, beyond: Beyond, met: Bools, lit: Floats | None
+    viewing: Viewing, position: Floats, direction: Floats, beyond: LightRays, met: Bools, lit: Floats | None
 ) -> Floats:
     """Light of rays that met the sheet: of an object before it, else of what is seen through it, or black.
 

@@ -16,8 +16,7 @@ from clacad.base.text import mrad_text
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.checks.light_kinds import LAW_RMS, THROUGHPUT
-from clacad.imaging.best_point import spot_at
-from clacad.imaging.image_by_rays import RungImage, heights, image, reach_of
+from clacad.imaging.image_by_rays import RungImage, heights, image, reach_of, spot_at
 from clacad.report.figures import ACCENT, BAD, FAINT, INK, SECOND, Margins, panels, room_for, svg
 from clacad.sheet.cell_heights import greatest_steps
 from clacad.verification.light.error_attribution import NAMES

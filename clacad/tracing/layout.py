@@ -424,16 +424,15 @@ def _footprint(window: Window, body: Body) -> Footprint:
         middle = (0.5 * (x0 + x1), 0.5 * (y0 + y1))
         return (x0, x1, y0, y1), (*window.outline.free_box, np.inf), ("plate", 0.0, 0.0), middle
     cx, cy = outline_centre(window, body)
-    if isinstance(window.outline, Circle):
-        half = 0.5 * window.outline.diameter
-        return (
-            (cx - half, cx + half, cy - half, cy + half),
-            (half, half, half),
-            ("circle", half, half),
-            (cx, cy),
-        )
-    hx, hy = 0.5 * window.outline.width, 0.5 * window.outline.height
-    return (cx - hx, cx + hx, cy - hy, cy + hy), (hx, hy, np.inf), ("rectangle", hx, hy), (cx, cy)
+    hx, hy = half_sizes(window.outline)
+    kind, room = ("circle", hx) if isinstance(window.outline, Circle) else ("rectangle", np.inf)
+    return (cx - hx, cx + hx, cy - hy, cy + hy), (hx, hy, room), (kind, hx, hy), (cx, cy)
+
+
+def half_sizes(outline: Circle | Rectangle) -> tuple[float, float]:
+    """Half width and half height (lengths) of an outline."""
+    wide = outline.diameter if isinstance(outline, Circle) else outline.width
+    return 0.5 * wide, 0.5 * (wide if isinstance(outline, Circle) else outline.height)
 
 
 def _inside_cells(lattice: Lattice, place: CellPlacement, box: Box) -> tuple[float, float, float]:
@@ -443,12 +442,7 @@ def _inside_cells(lattice: Lattice, place: CellPlacement, box: Box) -> tuple[flo
         x0, x1, y0, y1 = lattice.extent()
         reach = 0.5 * min(place.scale(lattice)) * min(x1 - x0, y1 - y0)
         if isinstance(lattice.outline, Circle | Rectangle):
-            sides = lattice.outline
-            reach = (
-                0.5
-                * scale
-                * (sides.diameter if isinstance(sides, Circle) else min(sides.width, sides.height))
-            )
+            reach = scale * min(half_sizes(lattice.outline))
         lost = (
             0.0 if not lattice.hexagonal and lattice.outline is None else 4.0 * scale * lattice.circumradius
         )
@@ -461,6 +455,6 @@ def _inside_cells(lattice: Lattice, place: CellPlacement, box: Box) -> tuple[flo
         # the box of the kept cells need not be centred on the outline to better than a cell
         return half_x, half_y, 0.5 * scale * lattice.outline.diameter - 2.0 * lost
     if isinstance(lattice.outline, Rectangle):
-        width, height = 0.5 * scale * lattice.outline.width, 0.5 * scale * lattice.outline.height
-        return width - 2.0 * lost, height - 2.0 * lost, np.inf
+        width, height = half_sizes(lattice.outline)
+        return scale * width - 2.0 * lost, scale * height - 2.0 * lost, np.inf
     return half_x - lost, half_y - lost, np.inf

@@ -5,16 +5,50 @@ On its way a ray goes from one event to the next; the kinds of events are named 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import Field, dataclass
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats, Ints, Rows
+from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 
 # Ends of a stretch: crossings of the faces' surfaces and levels, or one of three other ends.
 FRONT, FRONT_LAND, BACK, BACK_LAND, WALL, ABOVE, ASIDE = range(7)
+
+
+class RayColumns:
+    """Columns of m rays: in a dataclass of this class every array, or columns, has a row for each ray."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    def take(self, chosen: Rows | Bools) -> Self:
+        """The chosen rays: row numbers, or which (m,); what is no column is the same for all."""
+        return type(self)(*(_taken(getattr(self, name), chosen) for name in self.__dataclass_fields__))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Rays of several, one after another; what is no column is that of the first."""
+        if len(parts) == 1:
+            return parts[0]
+        columns = ([getattr(one, name) for one in parts] for name in cls.__dataclass_fields__)
+        return cls(*map(_in_turn, columns))
+
+
+def _taken(column: Any, chosen: Rows | Bools) -> Any:
+    if isinstance(column, dict):
+        return {name: one[chosen] for name, one in column.items()}
+    if isinstance(column, RayColumns):
+        return column.take(chosen)
+    return column[chosen] if isinstance(column, np.ndarray) else column
+
+
+def _in_turn(columns: list[Any]) -> Any:
+    if isinstance(columns[0], RayColumns):
+        return columns[0].joined(columns)
+    return np.concatenate(columns) if isinstance(columns[0], np.ndarray) else columns[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,16 +138,5 @@ class Ledger:
 
     def closed(self) -> TraceResult:
         """Result of the trace."""
-        recorded = len(self.hits) > 0
-        return TraceResult(
-            position=self.position,
-            direction=self.direction,
-            fate=self.fate,
-            optical_path=self.optical_path,
-            cell=self.cell,
-            order=self.order,
-            surface=self.surface,
-            flux=self.flux,
-            hits=self.hits if recorded else None,
-            directions=self.directions if recorded else None,
-        )
+        columns = {name: getattr(self, name) for name in self.__slots__}
+        return TraceResult(**(columns if len(self.hits) else columns | {"hits": None, "directions": None}))

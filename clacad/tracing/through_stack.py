@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2, Rows, Rung
-from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.optics.rays import Fate, Rays, TraceResult, fate_counts
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.stack import BadStack, Stack, StackedSheet
 from clacad.sheet.vignetting import aperture_slopes
@@ -63,8 +63,7 @@ class StackTrace:
 
     def counts(self) -> dict[str, int]:
         """Number of rays of each fate, by name; every fate is listed and the numbers add up to n."""
-        number = np.bincount(self.fate, minlength=len(Fate))
-        return {fate.name: int(number[fate]) for fate in Fate}
+        return fate_counts(self.fate)
 
 
 @dataclass(frozen=True, eq=False)

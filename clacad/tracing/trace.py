@@ -275,7 +275,7 @@ def _compiled(
     single: bool = False,
 ) -> TraceResult:
     """Exact surfaces, or `facets`, by the compiled kernels."""
-    from clacad.tracing.compiled.surfaces import trace_compiled
+    from clacad.tracing.compiled.chunk import trace_compiled
     from clacad.tracing.compiled.threads import thread_count
 
     count = thread_count(threads)

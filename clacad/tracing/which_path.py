@@ -125,7 +125,7 @@ def kernels_of(rung: Rung, layout: Layout) -> str:
 
 def _worth(rung: Rung, layout: Layout) -> float:
     """Seconds until a rung's kernels are available."""
-    from clacad.tracing.compiled.surfaces import rung_is_kept
+    from clacad.tracing.compiled.chunk import rung_is_kept
 
     return LOADING if rung_is_kept(rung, layout) else COMPILING[_rate(rung)]
 

@@ -5,7 +5,7 @@ No light is traced; the values are the derived numbers of `clacad.sheet.feasibil
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from math import ceil, floor, hypot, inf, isfinite, log10, tan
 from typing import TYPE_CHECKING
@@ -180,30 +180,24 @@ def _way_to_cover(design: Design, window: Window, lens: LensFacts) -> str:
     """Text of the values that cover the cell, by building windows: the radii follow the thickness."""
     if not (isfinite(lens.least_thickness) and lens.least_thickness > 0.0):
         return "No thickness covers it at these radii: a smaller pitch or a larger separation would"
-    ways = [f"thickness >= {_round_up(lens.least_thickness)}"]
+    ways = [f"thickness >= {_rounded(lens.least_thickness, ceil)}"]
     if design.pair.form == "biconvex":
         solved = _covering_thickness(design, lens)
         if solved is not None:
-            ways = [f"thickness >= {_round_up(solved)} for {('lens 1', 'lens 2')[lens.array]}"]
+            ways = [f"thickness >= {_rounded(solved, ceil)} for {('lens 1', 'lens 2')[lens.array]}"]
     index = _covering_index(design, lens)
     if index is not None:
         ways.append(f"index >= {index:.3f}")
     shrink = _covering_shrink(window, lens)
     if shrink is not None:
-        ways.append(f"pitch <= {_round_down(max(design.lattice.pitch) * shrink)}")
+        ways.append(f"pitch <= {_rounded(max(design.lattice.pitch) * shrink, floor)}")
     return ", or ".join(ways) + ' would cover it (or thickness = "auto")'
 
 
-def _round_up(value: float) -> str:
-    """Text of a value with three digits, rounded up."""
+def _rounded(value: float, whole: Callable[[float], int]) -> str:
+    """Text of a value with three digits, rounded up (`ceil`) or down (`floor`)."""
     step = 10.0 ** (floor(log10(value)) - 2)
-    return f"{ceil(value / step) * step:.3g}"
-
-
-def _round_down(value: float) -> str:
-    """Text of a value with three digits, rounded down."""
-    step = 10.0 ** (floor(log10(value)) - 2)
-    return f"{floor(value / step) * step:.3g}"
+    return f"{whole(value / step) * step:.3g}"
 
 
 def _covering_shrink(window: Window, lens: LensFacts) -> float | None:

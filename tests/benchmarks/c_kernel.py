@@ -30,9 +30,8 @@ import clacad
 from clacad.optics.rays import Rays
 from clacad.sheet.window import Window
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.chunk import trace_chunk
+from clacad.tracing.compiled.chunk import piece, trace_chunk
 from clacad.tracing.compiled.packing import pack
-from clacad.tracing.compiled.surfaces import piece
 from clacad.tracing.compiled.threads import CHUNK, in_arrays
 from clacad.tracing.layout import lay_out
 from clacad.tracing.ledger import Ledger

@@ -195,7 +195,7 @@ def threads(count: int) -> dict[str, float]:
 
 def trace_with(window: Window, rays: Rays, number: int) -> Job:
     """The compiled tracer on a given number of threads, into arrays that exist already."""
-    from clacad.tracing.compiled.surfaces import trace_compiled
+    from clacad.tracing.compiled.chunk import trace_compiled
     from clacad.tracing.layout import lay_out
     from clacad.tracing.ledger import Ledger
 

@@ -10,7 +10,7 @@ import pytest
 import clacad
 from clacad.base.vectors import doubled_normals
 from clacad.formats.step.step_files import read_step, write_step
-from clacad.judging.plate_holes import lost_in_mesh, lost_in_solid, wall_areas
+from clacad.judging.cell_triangles import lost_in_mesh, lost_in_solid, wall_areas
 from clacad.mesh.tessellation import tessellate
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.volume_and_extent import body_volume

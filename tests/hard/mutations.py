@@ -64,11 +64,10 @@ SCALAR, LAUNCH, TRACE = (
     "clacad/optics/sequence.py",
 )
 
-PLACES, LIKE, OWN, BLOCKS, MIRROR = (
+PLACES, LIKE, OWN, MIRROR = (
     "clacad/sheet/cell_places.py",
     "clacad/sheet/like_cell.py",
     "clacad/tracing/compiled/array_cells.py",
-    "clacad/tracing/compiled/own_straight.py",
     "clacad/effects/engine/nonsequential.py",
 )
 AIMED, MADE = "clacad/prescription/aimed_cells.py", "tests/prescription/test_aimed_cells.py"
@@ -110,10 +109,10 @@ MUTATIONS = [
     Mutation("like a cell: one direction", "clacad/sheet/representative_cells.py", "(2.0 * np.pi / SIDES)", "0.0", ALIKE),
     Mutation("kernel: gradient transposed", OWN, "return xx * x + xy * y, yx * x + yy * y", "return xx * x + yx * y, xy * x + yy * y", ITS_KERNEL),
     Mutation("kernel: rows of hexagons as of squares", OWN, "int(i) + int(j) // 2 if", "int(i) if", ITS_KERNEL),
-    Mutation("kernel: the table forgotten", BLOCKS, "if which >= 0:", "if which > 99:", ITS_KERNEL),
+    Mutation("kernel: the table forgotten", OWN, "if which >= 0:\n        _add_tabled", "if which > 99:\n        _add_tabled", ITS_KERNEL),
     Mutation("kernel: hexagons' centres by columns of squares", OWN, "return (i - grid.across) + grid.skew * j, j", "return i - grid.across, j", ITS_KERNEL),
-    Mutation("kernel: another pitch as if it were the same", BLOCKS, "two_sum(one.pitch, -two.pitch)", "(0.0, 0.0)", ITS_KERNEL),
-    Mutation("kernel: cells of lens 1 in every array", BLOCKS, "cell[i] += a", "cell[i] += 0.0 * a", ITS_KERNEL),
+    Mutation("kernel: another pitch as if it were the same", OWN, "two_sum(one.pitch, -two.pitch)", "(0.0, 0.0)", ITS_KERNEL),
+    Mutation("kernel: cells of lens 1 in every array", OWN, "cell[i] += a", "cell[i] += 0.0 * a", ITS_KERNEL),
     Mutation("sizes: a lens seen from a larger one", PLACES, "vx + (x - vx) / self.size", "vx + (x - vx) * self.size", OWN_ETA),
     Mutation("sizes: heights of the face's one lens", PLACES, "(z - self.vertex[2]) * self.size", "(z - self.vertex[2])", OWN_ETA),
     Mutation("sizes: rays start as the sheet has them", "clacad/tracing/reference/face.py", "start / places.size[:, None]", "start", FIGURES),

@@ -239,7 +239,7 @@ def test_kernels_are_asked_for_by_the_types_that_they_are_called_with(rung, scen
     from clacad.rendering.compiled import pixels
     from clacad.rendering.view import kernels_are_kept
     from clacad.scene import load_scene
-    from clacad.tracing.compiled import surfaces as kept_kernels
+    from clacad.tracing.compiled import chunk as kept_kernels
 
     scene = load_scene(scene_file, (f"sheet.rung={rung}",))
     viewing = set_up(scene, prescribe(scene.design()), True)

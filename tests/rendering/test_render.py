@@ -21,7 +21,6 @@ from clacad.optics.rays import Fate
 from clacad.rendering import view_through
 from clacad.rendering.camera import aim, offsets, rays
 from clacad.rendering.compiled.scene_hits import look_all
-from clacad.rendering.compiled.scene_tables import tables
 from clacad.rendering.photographs import decode, read_picture
 from clacad.rendering.picture import render, render_movie
 from clacad.rendering.picture_files import (
@@ -32,7 +31,7 @@ from clacad.rendering.picture_files import (
     write_movie,
     write_picture,
 )
-from clacad.rendering.scene_arrays import set_stage
+from clacad.rendering.scene_arrays import set_stage, tables
 from clacad.rendering.scene_hits import look, nearest
 from clacad.rendering.screen_measure import measure
 from clacad.rendering.sheet_passage import geometry_alone

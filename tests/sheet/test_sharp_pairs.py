@@ -11,7 +11,7 @@ from mpmath import mp, mpf
 from oracle import varying as oracle
 
 import clacad
-from clacad.imaging.best_point import best_point
+from clacad.imaging.image_by_rays import best_point
 from clacad.optics.law.focusing import SharpPair, cell_width
 from clacad.optics.rays import Fate
 from clacad.prescription import traced_vertices

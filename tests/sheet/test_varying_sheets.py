@@ -15,7 +15,7 @@ from oracle import varying as oracle
 import clacad
 from clacad.base.sobol import sobol
 from clacad.design.combinations import BUILT, ETAS, FEATURES, REASONS, SHEETS, matrix
-from clacad.imaging.best_point import best_point
+from clacad.imaging.image_by_rays import best_point
 from clacad.optics.law.focusing import Glens
 from clacad.optics.rays import Fate
 from clacad.sheet.cell_heights import closed_volume, greatest_steps

@@ -137,7 +137,7 @@ def test_few_rays_through_the_sheets_own_mesh_ask_for_no_kernel_where_their_numb
     window = small(WINDOWS["paper base"])
     rays = Rays(*beam(window, 500, 5))
     known = trace(window, rays, rung="mesh", mesh=8, path="numpy")
-    monkeypatch.setattr("clacad.tracing.compiled.surfaces.trace_chunk", asked)
+    monkeypatch.setattr("clacad.tracing.compiled.chunk.trace_chunk", asked)
     found = trace(window, rays, rung="mesh", mesh=8, path="size")
     assert np.array_equal(found.direction, known.direction)
     with pytest.raises(AssertionError, match="asked for"):

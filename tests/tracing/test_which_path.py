@@ -13,7 +13,7 @@ import clacad
 from clacad.optics.rays import Rays
 from clacad.tracing import trace as tracers
 from clacad.tracing import which_path
-from clacad.tracing.compiled import surfaces as kept_kernels
+from clacad.tracing.compiled import chunk as kept_kernels
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 

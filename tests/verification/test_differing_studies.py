@@ -9,7 +9,7 @@ import clacad
 from clacad.sheet.bundle import bundle
 from clacad.tracing.worst_cell import tried_cells, worst_cell
 from clacad.verification.accuracy.extended_precision import direction_errors
-from clacad.verification.accuracy.measure_rungs import TracedRays, own_rows
+from clacad.verification.accuracy.measure_rungs import TracedRays, exact_rows, reference
 from clacad.verification.tolerance import Farm, sweep, tolerance
 from clacad.verification.tolerance.study import asked_design, named_design
 
@@ -114,7 +114,8 @@ def test_rows_of_the_sheet_itself_are_measured_on_the_rays_given():
     seen = worst_cell(window, DESIGN.check.field)
     i, j = seen.cell.tolist()
     lit = seen.placed(bundle(seen.like, 256, DESIGN.check.field)).rays
-    law, thin, surfaces = own_rows(TracedRays.raised(window, lit, (i, j)))
+    ladder = TracedRays.raised(window, lit, (i, j))
+    law, thin, surfaces = exact_rows(ladder, reference(ladder))
     assert law.rays == thin.rays == surfaces.rays == 256
     assert law.law_rms < 1e-14
     assert thin.law_rms < 1e-12

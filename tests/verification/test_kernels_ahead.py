@@ -13,7 +13,7 @@ from clacad.cli.console import Console
 from clacad.design import load
 from clacad.optics.rays import Rays
 from clacad.prescription.prescribe import prescribe
-from clacad.tracing.compiled import surfaces
+from clacad.tracing.compiled import chunk as surfaces
 from clacad.tracing.which_path import COMPILING
 from clacad.verification.accuracy.accuracy_table import OF_TABLE, climb, compiling_seconds
 
@@ -22,7 +22,7 @@ DESIGNS = Path(__file__).parents[2] / "designs"
 
 def test_nothing_is_compiled_where_all_is_kept_and_all_where_nothing_is(monkeypatch, capsys):
     window = prescribe(load(DESIGNS / "slab.toml"))
-    homes = ("clacad.base.kernel_cache", "clacad.tracing.compiled.surfaces")
+    homes = ("clacad.base.kernel_cache", "clacad.tracing.compiled.chunk")
     for home in homes:
         monkeypatch.setattr(f"{home}.is_kept", lambda *_: False)
     assert compiling_seconds(window, OF_TABLE) == sum(COMPILING.values())

@@ -23,7 +23,7 @@ from clacad.base.types import Bools, Floats, Rung
 from clacad.effects import declared_all
 from clacad.effects.engine.block import RayBlock, unit_rows
 from clacad.effects.engine.effect import Declaration, Effect, Setting, Situation
-from clacad.effects.engine.homogeneous_light import LightRays, join_light, law_light
+from clacad.effects.engine.homogeneous_light import LightRays, law_light
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.passes import blocks, take_rays, trace_with
 from clacad.light.compare import angles
@@ -103,7 +103,7 @@ def reflected_paths(
             LightRays(rows[out.parent[kept]], out.position[kept], out.direction[kept], out.flux[kept])
         )
     nothing = LightRays(np.zeros(0, dtype=np.intp), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    return join_light(*parts) if parts else nothing
+    return LightRays.joined(parts) if parts else nothing
 
 
 def known_to_compiled(window: Window, setting: Setting) -> bool:
@@ -118,7 +118,7 @@ def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[Lig
 
     setting : With the effects that are on.
     """
-    from clacad.effects.engine.compiled_split_paths import Passing, SplitPaths, bounce_pass
+    from clacad.effects.engine.compiled_passes import Passing, SplitPaths, bounce_pass
     from clacad.tracing.compiled.packing import pack
     from clacad.tracing.trace import trace
 
@@ -144,7 +144,7 @@ def split_by_compiled(window: Window, rays: Rays, setting: Setting) -> tuple[Lig
         lit = paths.flux > 0.0
         parent = np.broadcast_to(every[chosen][rows][:, None], lit.shape)[lit]
         parts.append(LightRays(parent, paths.position[lit], paths.direction[lit], paths.flux[lit]))
-    return join_light(*parts), done
+    return LightRays.joined(parts), done
 
 
 MANY = 50_000
@@ -189,7 +189,7 @@ def light_reaching_camera(
     if any(kind.splits for kind in kinds) and rung in ("surfaces", "mesh"):
         compiled = options.get("path") == "numba" or (options.get("path") != "numpy" and len(rays) > MANY)
         extra = reflected_paths(window, rays, result, replace(setting, active=names), compiled)
-        light = join_light(light, extra)
+        light = LightRays.joined([light, extra])
     return light, result
 
 

@@ -31,10 +31,11 @@ from clacad.sheet.vignetting import (
     thin_cells,
 )
 from clacad.sheet.window import Window
+from clacad.tracing.ledger import RayColumns
 
 
 @dataclass(frozen=True, eq=False)
-class LightRays:
+class LightRays(RayColumns):
     """Rays that carry radiance from the scene to the camera.
 
     Attributes
@@ -54,16 +55,6 @@ class LightRays:
 
     def __len__(self) -> int:
         return len(self.flux)
-
-
-def join_light(*lights: LightRays) -> LightRays:
-    """Concatenate several lists of light."""
-    return LightRays(
-        np.concatenate([light.parent for light in lights]),
-        np.concatenate([light.position for light in lights]),
-        np.concatenate([light.direction for light in lights]),
-        np.concatenate([light.flux for light in lights]),
-    )
 
 
 FAINT = 1e-6
@@ -86,7 +77,7 @@ def law_light(window: Window, rays: Rays, result: TraceResult, ghosts: bool) -> 
     if ghosts and window.baffle is None:
         met = orders(cells, slopes, index)
         parts += [_order(window, cells, result, (rows, index), slopes, order) for order in met]
-    return join_light(*parts)
+    return LightRays.joined(parts)
 
 
 def _order(

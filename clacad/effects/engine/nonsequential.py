@@ -7,8 +7,7 @@ window, where they travel upwards too. At a face a packet is refracted, reflecte
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -19,7 +18,7 @@ from clacad.optics.surface import refract
 from clacad.optics.surface.fresnel_coefficients import deviation, reflected
 from clacad.sheet.window import IDENTITY, Body, Face, Window
 from clacad.tracing.layout import BodyPlan, Layout, lay_out, lenses, sheet_position
-from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
+from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL, RayColumns
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import Event, first_change
 from clacad.tracing.reference.face import NUDGE, lens_normals, wall_normals
@@ -93,7 +92,7 @@ class Rules:
 
 
 @dataclass(frozen=True, eq=False)
-class Packet:
+class Packet(RayColumns):
     """m rays of one state.
 
     beam : Its rows are row numbers of the launched rays.
@@ -118,10 +117,6 @@ class Packet:
     bounces: Ints
     faces: Ints
     astray: Ints
-
-    def take(self, chosen: Rows | Bools) -> Packet:
-        """Select rays: row numbers, or a mask (m,)."""
-        return Packet(self.beam.take(chosen), *(getattr(self, f.name)[chosen] for f in fields(self)[1:]))
 
     def __len__(self) -> int:
         return len(self.flux)
@@ -203,6 +198,7 @@ class _Packets:
         )
         beside = np.setdiff1d(rows, beam.rows)
         self.share["aside"][beside] += 1.0
+        self.out.append((packet.take(zero[:0]), True))  # nothing, in columns
         self.put((True, 0, False), packet)
 
     def put(self, state: State, packet: Packet) -> None:
@@ -223,7 +219,7 @@ class _Packets:
         """Step packets until the queue is empty."""
         while self.waiting:
             state = min(self.waiting)
-            packet = _joined(self.waiting.pop(state))
+            packet = Packet.joined(self.waiting.pop(state))
             worn = (packet.faces > self.limit) | (packet.astray > self.rules.faces)
             if worn.any():
                 self.end("cut", packet.take(worn))
@@ -233,20 +229,17 @@ class _Packets:
 
     def result(self) -> NonsequentialLight:
         """The light that has left, and the outcome of the rest."""
-        packets = [packet for packet, _ in self.out]
-        empty = np.zeros((0, 3))
-
-        def column(values: Sequence[Floats], nothing: Floats) -> Floats:
-            return np.concatenate(values) if values else nothing
-
+        whole = Packet.joined([packet for packet, _ in self.out])
+        up = np.concatenate([np.full(len(packet), up) for packet, up in self.out])
+        x, y, z = whole.beam.direction.T
         return NonsequentialLight(
-            parent=np.concatenate([p.beam.rows for p in packets]) if packets else np.zeros(0, dtype=np.intp),
-            position=column([p.position for p in packets], empty),
-            direction=column([p.beam.direction * (1.0, 1.0, 1.0 if u else -1.0) for p, u in self.out], empty),
-            flux=column([p.flux for p in packets], np.zeros(0)),
-            optical_path=column([p.path for p in packets], np.zeros(0)),
-            front=np.concatenate([np.full(len(p), not u) for p, u in self.out] or [np.zeros(0, dtype=bool)]),
-            bounces=np.concatenate([p.bounces for p in packets] or [np.zeros(0, dtype=np.int64)]),
+            parent=whole.beam.rows,
+            position=whole.position,
+            direction=np.column_stack([x, y, np.where(up, z, -z)]),
+            flux=whole.flux,
+            optical_path=whole.path,
+            front=~up,
+            bounces=whole.bounces,
             share={str(cause): value for cause, value in self.share.items()},
         )
 
@@ -458,21 +451,3 @@ def arrived(layout: Layout, body: BodyPlan, packet: Packet, event: Event, up: bo
     path = packet.path + index * event.distance
     gated = np.zeros(len(packet), dtype=bool)
     return replace(packet, beam=at, path=path, position=position, gated=gated)
-
-
-def _joined(packets: list[Packet]) -> Packet:
-    """Merge packets of one state; their beams name the same array."""
-    if len(packets) == 1:
-        return packets[0]
-    array = packets[0].beam.array
-    beams = [packet.beam for packet in packets]
-    beam = Beam(
-        np.concatenate([b.rows for b in beams]),
-        array,
-        np.concatenate([b.cell for b in beams]),
-        np.concatenate([b.local for b in beams]),
-        np.concatenate([b.z for b in beams]),
-        np.concatenate([b.direction for b in beams]),
-    )
-    rest = (np.concatenate([getattr(p, f.name) for p in packets]) for f in fields(packets[0])[1:])
-    return Packet(beam, *rest)

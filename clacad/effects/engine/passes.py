@@ -25,6 +25,7 @@ from clacad.effects.engine.effect import Effect, Setting, When
 from clacad.optics.rays import Rays, TraceResult
 from clacad.sheet.face_order import media_of
 from clacad.sheet.window import Window
+from clacad.tracing.ledger import Ledger
 
 Chosen = slice | NDArray[np.intp]
 
@@ -43,24 +44,10 @@ class OrderedResult:
         self.columns: dict[str, Any] = {}
         self.whole: TraceResult | None = None
         if direct is not None:
-            faces = 2 * len(window.bodies) if direct else 0
-            self.columns = {
-                "position": np.empty((count, 3)),
-                "direction": np.empty((count, 3)),
-                "fate": np.empty(count, dtype=np.uint8),
-                "optical_path": np.empty(count),
-                "cell": np.empty((count, 2), dtype=np.int32),
-                "order": np.empty((count, 2), dtype=np.int32),
-                "surface": np.empty(count, dtype=np.int32),
-                "flux": np.ones(count),
-                "hits": np.empty((faces, count, 3)) if direct else None,
-                "directions": np.empty((faces, count, 3)) if direct else None,
-            }
-
-    def traced_in_place(self, rows: slice, rays: Rays, wavelength: float | None, keep: bool) -> TraceResult:
-        """Trace a block by the compiled kernels straight into its slice; hits may be kept for it alone."""
-        media = media_of(self.window.bodies, wavelength)
-        return self.traced(rows, rays, media, 2 * len(self.window.bodies) if keep else 0)
+            made = Ledger.blank(count, 2 * len(window.bodies) if direct else 0)
+            self.columns = {name: getattr(made, name) for name in Ledger.__slots__} | {"flux": np.ones(count)}
+            if not direct:
+                self.columns |= {"hits": None, "directions": None}
 
     def traced_with_losses(
         self, rows: slice, rays: Rays, wavelength: float | None, lossy: Sequence[Effect]
@@ -100,9 +87,8 @@ class OrderedResult:
 
         See `Packed` for the media and losses.
         """
-        from clacad.tracing.compiled.surfaces import trace_compiled
+        from clacad.tracing.compiled.chunk import trace_compiled
         from clacad.tracing.layout import lay_out
-        from clacad.tracing.ledger import Ledger
 
         own = {
             name: column[rows] for name, column in self.columns.items() if name not in ("hits", "directions")
@@ -289,7 +275,8 @@ class _BlockRun:
             if self.lossy:
                 result = self.gathered.traced_with_losses(rows, part, wavelength, self.lossy)
             else:
-                result = self.gathered.traced_in_place(rows, part, wavelength, self.keep)
+                media, faces = media_of(window.bodies, wavelength), 2 * len(window.bodies) if self.keep else 0
+                result = self.gathered.traced(rows, part, media, faces)
             run(self.others, RayBlock(window, part, result, self.rung, wavelength, compiled=True))
             return
         from clacad.tracing.trace import trace

@@ -8,7 +8,7 @@ counted on a probe of the scene's own rays; `exact=True` measures each by a trac
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import degrees
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -167,19 +167,7 @@ class Plan:
             "cost": self.cost,
             "summary": self.summary(),
             **tried,
-            "effects": [
-                {
-                    "effect": row.effect,
-                    "state": row.state,
-                    "why": row.why,
-                    "angle": row.angle,
-                    "radiance": row.radiance,
-                    "cost": row.cost,
-                    "measured": row.measured,
-                    "known": row.known,
-                }
-                for row in self.rows
-            ],
+            "effects": [asdict(row) for row in self.rows],
         }
 
 

@@ -18,7 +18,7 @@ from clacad.base.types import Floats, Ints, Words
 from clacad.optics.rays import Fate
 from clacad.rendering.compiled.hole_beside_lens import DIRECT, STRAYED, UNDECIDED, pass_quick
 from clacad.rendering.compiled.scene_hits import Pad, look_block, new_pad
-from clacad.rendering.compiled.scene_tables import BLOCK, Tables
+from clacad.rendering.scene_arrays import BLOCK, Tables
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.block import (
     CI,

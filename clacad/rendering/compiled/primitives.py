@@ -12,8 +12,7 @@ import numpy as np
 
 from clacad.base.compiled import exact
 from clacad.base.types import Floats
-from clacad.rendering.compiled.scene_tables import END, KIND, ORIGIN, PIECE, SIZE, TURN
-from clacad.rendering.scene_arrays import BOX, CONE, PRISM, SPHERE
+from clacad.rendering.scene_arrays import BOX, CONE, END, KIND, ORIGIN, PIECE, PRISM, SIZE, SPHERE, TURN
 
 
 @exact

@@ -14,7 +14,6 @@ from clacad.base.kernel_cache import numba
 from clacad.base.types import Cells, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.array_cells import row_of
 from clacad.tracing.compiled.packing import Packed
 from clacad.tracing.compiled.records import Outcome
 
@@ -191,7 +190,7 @@ def store_block(sheet: Packed, s: Floats, chosen: Rows, array: int, out: Outcome
     ci, cj, ci0, cj0 = lanes(s, (CI, CJ, CI0, CJ0))
     last = len(faces) - 1
     face, top = faces[last], bodies[len(bodies) - 1, slot.LEVEL] + faces[last, slot.VZ]
-    centres(sheet.lattices[row_of(sheet.own, array)], s, m, array, px, py, face[slot.VX], face[slot.VY])
+    centres(sheet.lattices[array], s, m, array, px, py, face[slot.VX], face[slot.VY])
     for k in range(m):
         good[k] = 1.0 if (good[k] > 0.0) & (dz[k] > 0.0) else 0.0
         z[k] += top

@@ -13,7 +13,6 @@ from clacad.tracing.compiled.array_cells import (
     lens_crossings,
     lens_height,
     next_edge,
-    row_of,
 )
 from clacad.tracing.compiled.cells import in_zone, kept, less_steps, sheet_xy
 from clacad.tracing.compiled.packing import Packed
@@ -64,9 +63,9 @@ def _lens_over(sheet: Packed, row: int, work: Floats, x: float, y: float) -> flo
     if not kept(lat, sheet.rows, work[CELL + 2 * at], work[CELL + 2 * at + 1]):
         return nan
     u, v = work[START + 2 * at] + x, work[START + 2 * at + 1] + y
-    if lat[slot.MARGIN] > 0.0 and not in_zone(sheet.lattices[row_of(sheet.own, at)], u, v, lat[slot.MARGIN]):
+    if lat[slot.MARGIN] > 0.0 and not in_zone(sheet.lattices[at], u, v, lat[slot.MARGIN]):
         return nan
-    return lens_height(sheet, row, (work[CELL + 2 * at], work[CELL + 2 * at + 1]), u, v)
+    return lens_height(sheet, sheet.own, row, (work[CELL + 2 * at], work[CELL + 2 * at + 1]), u, v)
 
 
 @exact
@@ -132,7 +131,9 @@ def _divide(sheet: Packed, b: int, ray: Ray, work: Floats, causes: Ints) -> int:
         else:
             at = int(faces[row, slot.ARRAY])
             own = Ray(work[START + 2 * at], work[START + 2 * at + 1], z, L, M, N)
-            one, two = lens_crossings(sheet, row, (work[CELL + 2 * at], work[CELL + 2 * at + 1]), own)
+            one, two = lens_crossings(
+                sheet, sheet.own, row, (work[CELL + 2 * at], work[CELL + 2 * at + 1]), own
+            )
             work[count], causes[count] = one, lens
             work[count + 1], causes[count + 1] = two, lens
             count += 2
@@ -147,7 +148,7 @@ def _divide(sheet: Packed, b: int, ray: Ray, work: Floats, causes: Ints) -> int:
         for n in range(int(lat[slot.BORDERS])):
             ux, uy = lat[slot.NORMAL + 2 * n], lat[slot.NORMAL + 2 * n + 1]
             here, speed = ux * work[START + 2 * at] + uy * work[START + 2 * at + 1], ux * L + uy * M
-            edge = sheet.lattices[row_of(sheet.own, at)][slot.HALF + n] - lat[slot.MARGIN]
+            edge = sheet.lattices[at][slot.HALF + n] - lat[slot.MARGIN]
             work[count], causes[count] = (edge - here) / speed, WALL
             work[count + 1], causes[count + 1] = (-edge - here) / speed, WALL
             count += 2
@@ -199,7 +200,7 @@ def jump(sheet: Packed, b: int, ray: CellRay, now: float, work: Floats) -> float
     low, high = (bodies[b, slot.JUMP_FROM] - z) / N, (bodies[b, slot.JUMP_TO] - z) / N
     if not (low <= now < high):
         return now
-    sx, sy = sheet_xy(sheet.lattices[row_of(sheet.own, array)], array, i, j, x, y)
+    sx, sy = sheet_xy(sheet.lattices[array], array, i, j, x, y)
     for t in (now, high):
         if not well_inside(bodies, b, sx + t * L, sy + t * M):
             return now
@@ -207,7 +208,7 @@ def jump(sheet: Packed, b: int, ray: CellRay, now: float, work: Floats) -> float
         at = int(bodies[b, slot.CELLS + k])
         if at < 0:
             continue
-        p, q, _, _ = into_array(sheet, array, at, i, j, x + high * L, y + high * M)
+        p, q, _, _ = into_array(sheet, sheet.own, array, at, i, j, x + high * L, y + high * M)
         work[STEP + 2 * at], work[STEP + 2 * at + 1] = p - work[HOME + 2 * at], q - work[HOME + 2 * at + 1]
     return float(high)
 
@@ -224,7 +225,7 @@ def start_search(sheet: Packed, b: int, ray: CellRay, work: Floats) -> None:
             continue
         u, v, p, q = i, j, x, y
         if at != array:
-            u, v, p, q = into_array(sheet, array, at, i, j, x, y)
+            u, v, p, q = into_array(sheet, sheet.own, array, at, i, j, x, y)
         work[HOME + 2 * at], work[HOME + 2 * at + 1] = u, v
         work[BASE + 2 * at], work[BASE + 2 * at + 1] = p, q
 
@@ -249,8 +250,8 @@ def _next_border(sheet: Packed, b: int, ray: Ray, work: Floats) -> tuple[float, 
         at = int(sheet.bodies[b, slot.CELLS + k])
         if at < 0:
             continue
-        u, v = enter_cell(sheet.lattices[row_of(sheet.own, at)], at, work)
-        t, n, towards = border_ahead(sheet.lattices[row_of(sheet.own, at)], ray, u, v, border)
+        u, v = enter_cell(sheet.lattices[at], at, work)
+        t, n, towards = border_ahead(sheet.lattices[at], ray, u, v, border)
         if n >= 0:
             border, across, across_array, sense = t, n, at, towards
     return border, across, across_array, sense
@@ -311,7 +312,7 @@ def write_event(sheet: Packed, kind: int, distance: float, work: Floats, event: 
         event[place] = work[HOME + 2 * at] + work[STEP + 2 * at]
         event[place + 1] = work[HOME + 2 * at + 1] + work[STEP + 2 * at + 1]
         event[place + 2], event[place + 3] = less_steps(
-            sheet.lattices[row_of(sheet.own, at)],
+            sheet.lattices[at],
             work[BASE + 2 * at],
             work[BASE + 2 * at + 1],
             work[STEP + 2 * at],
@@ -323,7 +324,7 @@ def write_event(sheet: Packed, kind: int, distance: float, work: Floats, event: 
 def ends_of_body(sheet: Packed, b: int, ray: CellRay, inside: bool) -> tuple[Ray, float, float]:
     """Ray in the sheet's frame; distances to above body b (inf inside the material) and out of its box."""
     array, i, j, x, y, z, L, M, N = ray
-    sx, sy = sheet_xy(sheet.lattices[row_of(sheet.own, array)], array, i, j, x, y)
+    sx, sy = sheet_xy(sheet.lattices[array], array, i, j, x, y)
     aside = max(box_span(sheet.lattice, sheet.bodies, b, sx, sy, L, M)[1], 0.0)
     above = inf if inside else (sheet.bodies[b, slot.BODY_HIGH] - z) / N
     return Ray(sx, sy, z, L, M, N), above, aside

@@ -21,7 +21,7 @@ from clacad.light.sums import LARGE, ordinary
 from clacad.optics.law import law_numbers
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.array_cells import centre_of, gradient_of, grid_of, own_size, row_of, tabled
+from clacad.tracing.compiled.array_cells import centre_of, gradient_of, grid_of, own_size, tabled
 from clacad.tracing.compiled.block import (
     BLOCK,
     CI,
@@ -55,7 +55,7 @@ from clacad.tracing.compiled.block import (
 from clacad.tracing.compiled.cells import in_zone, kept
 from clacad.tracing.compiled.launch import launch_block
 from clacad.tracing.compiled.packing import OwnCells, Packed, own_laws, pack_array_1
-from clacad.tracing.compiled.records import MOST_ARRAYS, Outcome
+from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.compiled.threads import in_arrays, over_threads
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
@@ -105,7 +105,7 @@ def near(lat: Floats) -> float:
 @exact
 def arrive_well_inside(sheet: Packed, array: int, s: Floats, m: int) -> None:
     """Require that rays on a reference plane lie inside a kept cell of an array, and not near its borders."""
-    lat = sheet.lattices[row_of(sheet.own, array)]
+    lat = sheet.lattices[array]
     arrive(lat, sheet.rows, s, m, 0.0)
     hold_in_zone(lat, s, m, near(lat), 0.0, 0.0)
 
@@ -113,7 +113,7 @@ def arrive_well_inside(sheet: Packed, array: int, s: Floats, m: int) -> None:
 @exact
 def surely_beside(sheet: Packed, array: int, s: Floats, k: int) -> bool:
     """Whether ray k is over a cell of an array that is not kept, and far from its borders."""
-    lat, x, y = sheet.lattices[row_of(sheet.own, array)], s[X, k], s[Y, k]
+    lat, x, y = sheet.lattices[array], s[X, k], s[Y, k]
     inside = in_zone(lat, x, y, CLEAR * lat[slot.REACH])
     return inside and not kept(lat, sheet.rows, s[CI, k], s[CJ, k])
 
@@ -160,7 +160,7 @@ def sheet_plane(layout: Layout) -> Packed:
     laws = layout.window.cell_laws
     sheet = pack_array_1(layout)
     if laws is not None:
-        sheet = sheet._replace(lattices=np.tile(sheet.lattice, (MOST_ARRAYS, 1)), own=own_laws(laws))
+        sheet = sheet._replace(own=own_laws(laws))
     return sheet._replace(
         faces=np.zeros((1, slot.FACE_NUMBERS)), bodies=np.zeros((1, slot.BODY_NUMBERS)), media=np.ones(3)
     )

@@ -121,8 +121,8 @@ class Packed(NamedTuple):
         Where lost light is counted: whether faces reflect (0 or 1), and the attenuation of each body.
     edges : (e, EDGE_NUMBERS). Of the plate that bounds the bodies, columns as in `clacad.sheet.plate`; empty
         where the outline is no plate.
-    lattices : (1, LATTICE_NUMBERS) or (MOST_ARRAYS, LATTICE_NUMBERS). One row for all arrays of a uniform
-        sheet. On a non-uniform sheet a row for each, with its pitch, origin and half widths.
+    lattices : (MOST_ARRAYS, LATTICE_NUMBERS)
+        Row of each array; on a non-uniform sheet with its own pitch, origin and half widths.
     own : None on a uniform sheet: kernels are then compiled without the code that reads it. Else `lattice` is
         that of array 1.
     """
@@ -166,7 +166,7 @@ def pack_array_1(layout: Layout) -> Packed:
         media=np.array(media_of(layout.window.bodies)),
         losses=np.zeros(0),
         edges=np.zeros((0, EDGE_NUMBERS)) if (plate := layout.bodies[0].plate) is None else plate.edges,
-        lattices=lattice[None, :],
+        lattices=np.tile(lattice, (MOST_ARRAYS, 1)),
     )
     return made
 

@@ -21,7 +21,13 @@ import numpy as np
 from clacad.base.compiled import exact, inlined, least
 from clacad.base.types import Floats, Rows
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.array_cells import into_array, row_of
+from clacad.tracing.compiled.array_cells import (
+    carry_own,
+    from_own_lens,
+    into_array,
+    lens_height,
+    to_own_lens,
+)
 from clacad.tracing.compiled.block import (
     BEHIND_START,
     CI,
@@ -54,11 +60,10 @@ from clacad.tracing.compiled.block import (
     lanes,
 )
 from clacad.tracing.compiled.cells import hexagon_steps, reach
-from clacad.tracing.compiled.face import bend, height, meet
-from clacad.tracing.compiled.own_straight import carry_own, from_own_lens, own_thick, to_own_lens
+from clacad.tracing.compiled.face import bend, meet
 from clacad.tracing.compiled.packing import OwnCells, Packed
 from clacad.tracing.compiled.records import MOST_ARRAYS, Vector
-from clacad.tracing.facets.compiled_tile_block import cross_facets
+from clacad.tracing.facets.compiled_tiles import cross_facets
 from clacad.tracing.facets.tiles import Tiles
 
 Media = tuple[float, float]
@@ -287,14 +292,15 @@ def _in_inner(body: Floats, lat: Floats, s: Floats, m: int, array: int, ox: floa
 
 
 @exact
-def _thick(faces: Floats, f: int, s: Floats, m: int) -> None:
+def _thick(sheet: Packed, f: int, s: Floats, m: int) -> None:
     """Require that hits on one face lie on the right side of the body's other face."""
+    faces = sheet.faces
     vx, vy, vz = faces[f, slot.VX], faces[f, slot.VY], faces[f, slot.VZ]
     other, sign = f + 1 - 2 * (f % 2), 1.0 - 2.0 * (f % 2)
     for i in range(m):
         if s[GOOD, i] > 0.0:
-            gap = height(faces, other, s[X, i] + vx, s[Y, i] + vy) - (s[Z, i] + vz)
-            if not sign * gap >= 0.0:
+            over = lens_height(sheet, sheet.own, other, (s[CI, i], s[CJ, i]), s[X, i] + vx, s[Y, i] + vy)
+            if not sign * (over - (s[Z, i] + vz)) >= 0.0:
                 s[GOOD, i] = 0.0
 
 
@@ -412,12 +418,12 @@ def _start_ahead(s: Floats, m: int, carried: Floats) -> None:
 def _open_baffle(sheet: Packed, f: int, gone: int, array: int, s: Floats, m: int) -> None:
     """Require that rays pass the honeycomb between the cells of array `gone`, which they left, and face f."""
     face, entry = sheet.faces[f], int(sheet.bodies[f // 2, slot.ENTRY])
-    before, behind = sheet.lattices[row_of(sheet.own, gone)], sheet.lattices[row_of(sheet.own, entry)]
+    before, behind = sheet.lattices[gone], sheet.lattices[entry]
     for i in range(m):
         ci, cj = 1.0 * s[CI, i], 1.0 * s[CJ, i]
         x, y = 1.0 * s[X, i] + face[slot.VX], 1.0 * s[Y, i] + face[slot.VY]
         if face[slot.ARRAY] < 0.0:  # a plane face: the cells are still those of the array before
-            ci, cj, x, y = into_array(sheet, array, entry, ci, cj, x, y)
+            ci, cj, x, y = into_array(sheet, sheet.own, array, entry, ci, cj, x, y)
         di, dj = ci - s[CI0, i], cj - s[CJ0, i]
         if s[GOOD, i] > 0.0 and reach(before, behind, s[LEFT_X, i], s[LEFT_Y, i], x, y, di, dj) <= 1.0:
             s[GOOD, i] = 0.0
@@ -499,7 +505,7 @@ def _store_hit(sheet: Packed, f: int, s: Floats, array: int, chosen: Rows, hit: 
     """Record hits and directions at one face."""
     face, level, m = sheet.faces[f], sheet.bodies[f // 2, slot.LEVEL], len(chosen)
     px, py, base = lane(s, GX), lane(s, GY), level + face[slot.VZ]
-    centres(sheet.lattices[row_of(sheet.own, array)], s, m, array, px, py, face[slot.VX], face[slot.VY])
+    centres(sheet.lattices[array], s, m, array, px, py, face[slot.VX], face[slot.VY])
     for i in range(m):
         if s[GOOD, i] > 0.0:
             row = chosen[i]
@@ -543,7 +549,7 @@ def _enter_array(sheet: Packed, f: int, s: Floats, m: int, index: float, array: 
         level = body[slot.BODY_LOW] if columnar else face[slot.LOW]
         _carry_on(sheet.own, sheet, s, m, level, index, (array, int(face[slot.ARRAY])), origin)
         array = int(face[slot.ARRAY])
-    lat = sheet.lattices[row_of(sheet.own, array)]
+    lat = sheet.lattices[array]
     arrive(lat, sheet.rows, s, m, face[slot.CLIMB])
     margin = sheet.lattice[slot.MARGIN]
     if not columnar and margin > 0.0:  # a lenslet with a seam is an island with walls
@@ -556,7 +562,7 @@ def _stay_inside(sheet: Packed, f: int, s: Floats, m: int, facets: bool, vertex:
     face, body = sheet.faces[f], sheet.bodies[f // 2]
     vx, vy, vz = vertex
     if body[slot.COLUMNAR] == 0.0:
-        lat = sheet.lattices[row_of(sheet.own, int(face[slot.ARRAY]))]
+        lat = sheet.lattices[int(face[slot.ARRAY])]
         _in_cell_at(lat, s, m, face[slot.HIGH] - vz, vx, vy, lat[slot.MARGIN])
     elif body[slot.COVERED] == 0.0 and not facets:
         _before_other(sheet.own, sheet, f, s, m)
@@ -566,12 +572,10 @@ def _stay_inside(sheet: Packed, f: int, s: Floats, m: int, facets: bool, vertex:
 def _before_other(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int) -> None:
     """Require that a hit comes before the body's other face."""
     face, other = sheet.faces[f], sheet.faces[f + 1 - 2 * (f % 2)]
-    if own is not None:
-        own_thick(sheet, f, s, m)
-    elif face[slot.BICONIC] == 0.0 and other[slot.BICONIC] == 0.0:
+    if own is None and face[slot.BICONIC] == 0.0 and other[slot.BICONIC] == 0.0:
         _between(face, other, s, m, 1.0 - 2.0 * (f % 2))
     else:
-        _thick(sheet.faces, f, s, m)
+        _thick(sheet, f, s, m)
 
 
 @exact
@@ -645,7 +649,7 @@ def straight(
                 met += 1
                 _stay_inside(sheet, f, s, m, tiles is not None, (vx, vy, vz))
             if not columnar:
-                _in_inner(body, sheet.lattices[row_of(sheet.own, array)], s, m, array, ox, oy)
+                _in_inner(body, sheet.lattices[array], s, m, array, ox, oy)
             if f == 0:
                 _start_ahead(s, m, carried)
             if b and side == 0 and lat[slot.BAFFLE] != slot.NO_BAFFLE:
@@ -653,5 +657,5 @@ def straight(
             if len(hits) and not counted:
                 _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
         if columnar:
-            _in_cell_at(sheet.lattices[row_of(own, array)], s, m, body[slot.BODY_HIGH] - oz, ox, oy, 0.0)
+            _in_cell_at(sheet.lattices[array], s, m, body[slot.BODY_HIGH] - oz, ox, oy, 0.0)
     return array

@@ -17,7 +17,7 @@ from clacad.base.types import Floats, Rows
 from clacad.optics.rays import Rays
 from clacad.optics.sequence import UNIT
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.array_cells import into_array, row_of
+from clacad.tracing.compiled.array_cells import from_own_lens, into_array, to_own_lens
 from clacad.tracing.compiled.block import (
     BEHIND_START,
     BLOCK,
@@ -58,7 +58,6 @@ from clacad.tracing.compiled.law_rung import (
     surely_beside,
     surely_unmet,
 )
-from clacad.tracing.compiled.own_straight import from_own_lens, to_own_lens
 from clacad.tracing.compiled.packing import OwnCells, Packed, pack_array_1, pack_own
 from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.layout import Layout, prepared
@@ -150,7 +149,7 @@ def _through(sheet: Packed, lenses: Floats, s: Floats, m: int, carried: Floats) 
     for array in range(2):
         if array:
             _carry_over(sheet, s, m)
-            lat = sheet.lattices[row_of(sheet.own, 1)]
+            lat = sheet.lattices[1]
             if lenses[1, FLAT] != 0.0 and lat[slot.BAFFLE] == slot.NO_BAFFLE:
                 _miss_second(sheet, s, m)
         else:
@@ -211,7 +210,9 @@ def _carry_over(sheet: Packed, s: Floats, m: int) -> None:
     level = two[slot.LEVEL] + two[slot.BODY_LOW] - one[slot.LEVEL]
     for i in range(m):
         t = (level - z[i]) / dz[i]
-        ci[i], cj[i], x[i], y[i] = into_array(sheet, 0, 1, ci[i], cj[i], x[i] + t * dx[i], y[i] + t * dy[i])
+        ci[i], cj[i], x[i], y[i] = into_array(
+            sheet, sheet.own, 0, 1, ci[i], cj[i], x[i] + t * dx[i], y[i] + t * dy[i]
+        )
         z[i] = two[slot.BODY_LOW]
         path[i] += t
 

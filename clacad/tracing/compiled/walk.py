@@ -9,7 +9,7 @@ from clacad.base.types import Floats, Ints
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.array_cells import into_array, lens_at, row_of
+from clacad.tracing.compiled.array_cells import into_array, lens_at
 from clacad.tracing.compiled.cells import ARRIVING, INSIDE, LEAVING, kept, quick_change, reach, sheet_xy
 from clacad.tracing.compiled.column import box_span, first_change, in_footprint
 from clacad.tracing.compiled.face import meet, snell, to_lens, to_sheet, upward
@@ -199,7 +199,7 @@ def _past_joint(sheet: Packed, b: int, w: Floats, row: int, out: Outcome) -> Non
     """Put a ray on the joint before body b into the body."""
     bodies, entry, of = sheet.bodies, int(sheet.bodies[b, slot.ENTRY]), int(w[AT_ARRAY])
     w[Z] -= bodies[b, slot.LEVEL] - bodies[b - 1, slot.LEVEL]
-    w[CI], w[CJ], w[X], w[Y] = into_array(sheet, of, entry, w[CI], w[CJ], w[X], w[Y])
+    w[CI], w[CJ], w[X], w[Y] = into_array(sheet, sheet.own, of, entry, w[CI], w[CJ], w[X], w[Y])
     w[AT_ARRAY] = entry
     _record(w, 2 * b, row, out.hits, out.turns)
 
@@ -247,10 +247,10 @@ def _approach(
 def _over(sheet: Packed, b: int, w: Floats, distance: float) -> bool:
     """Whether a ray that has risen past the body did so over its footprint."""
     array = int(w[AT_ARRAY])
-    sx, sy = sheet_xy(sheet.lattices[row_of(sheet.own, array)], array, w[CI], w[CJ], w[X], w[Y])
+    sx, sy = sheet_xy(sheet.lattices[array], array, w[CI], w[CJ], w[X], w[Y])
     main = int(sheet.bodies[b, slot.ENTRY])
     i, j, _, _ = into_array(
-        sheet, array, main, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
+        sheet, sheet.own, array, main, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
     )
     over = kept(sheet.lattice, sheet.rows, i, j)
     return in_footprint(sheet, b, sx + distance * w[DX], sy + distance * w[DY], over)
@@ -279,7 +279,7 @@ def _refract(
         if on_lens:
             ox, oy, oz = _through_facet(event, (L, M, N), n1, n2)
     elif on_lens:
-        vx, vy, vz, size = lens_at(sheet, f, event[place], event[place + 1])
+        vx, vy, vz, size = lens_at(sheet, sheet.own, f, event[place], event[place + 1])
         sx, sy, sz = to_lens(faces, f, (x - vx) / size, (y - vy) / size, (z - vz) / size)
         u, v, k = to_lens(faces, f, L, M, N)
         distance = distance / size
@@ -304,7 +304,7 @@ def _refract(
         z = faces[f, slot.LAND] if levelled else z + distance * N
     w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = event[place], event[place + 1], x, y, z, array
     w[PATH] += n1 * distance
-    w[PX], w[PY] = sheet_xy(sheet.lattices[row_of(sheet.own, array)], array, w[CI], w[CJ], x, y)
+    w[PX], w[PY] = sheet_xy(sheet.lattices[array], array, w[CI], w[CJ], x, y)
     w[PZ] = z + bodies[b, slot.LEVEL]
     w[SURFACE] = 2 * b + side
     if faces[f, slot.ARRAY] >= 0.0 or not on_lens:
@@ -356,14 +356,21 @@ def _pass_hole(sheet: Packed, b: int, w: Floats, distance: float) -> None:
             continue
         array = int(faces[2 * b + side, slot.ARRAY])
         i, j, x, y = into_array(
-            sheet, int(w[AT_ARRAY]), array, w[CI], w[CJ], w[X] + distance * w[DX], w[Y] + distance * w[DY]
+            sheet,
+            sheet.own,
+            int(w[AT_ARRAY]),
+            array,
+            w[CI],
+            w[CJ],
+            w[X] + distance * w[DX],
+            w[Y] + distance * w[DY],
         )
         w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = i, j, x, y, w[Z] + distance * w[DZ], array
         w[PATH] += distance
         _note_cell(sheet.lattice, sheet.rows, w, faces[2 * b + side], False)
         distance = 0.0
     array = int(w[AT_ARRAY])
-    w[PX], w[PY] = sheet_xy(sheet.lattices[row_of(sheet.own, array)], array, w[CI], w[CJ], w[X], w[Y])
+    w[PX], w[PY] = sheet_xy(sheet.lattices[array], array, w[CI], w[CJ], w[X], w[Y])
     w[PZ] = w[Z] + sheet.bodies[b, slot.LEVEL]
 
 
@@ -375,14 +382,14 @@ def _cross_gap(sheet: Packed, b: int, w: Floats) -> tuple[float, int]:
     z = w[Z] - (bodies[b, slot.LEVEL] - bodies[b - 1, slot.LEVEL])
     gap = (bodies[b, slot.BODY_LOW] - z) / w[DZ]
     of = int(w[AT_ARRAY])
-    i, j, x, y = into_array(sheet, of, entry, w[CI], w[CJ], w[X] + gap * w[DX], w[Y] + gap * w[DY])
-    sx, sy = sheet_xy(sheet.lattices[row_of(sheet.own, entry)], entry, i, j, x, y)
+    i, j, x, y = into_array(sheet, sheet.own, of, entry, w[CI], w[CJ], w[X] + gap * w[DX], w[Y] + gap * w[DY])
+    sx, sy = sheet_xy(sheet.lattices[entry], entry, i, j, x, y)
     enter, leave = box_span(lat, bodies, b, sx, sy, w[DX], w[DY])
     span = (bodies[b, slot.BODY_HIGH] - bodies[b, slot.BODY_LOW]) / w[DZ]
     if not (enter <= leave and leave >= 0.0 and enter <= span and isfinite(gap)):
         return gap, (MISSED if lat[slot.BAFFLE] == slot.NO_BAFFLE else VIGNETTED)
     late = enter if enter > 0.0 else 0.0
-    i, j, x, y = into_array(sheet, entry, entry, i, j, x + late * w[DX], y + late * w[DY])
+    i, j, x, y = into_array(sheet, sheet.own, entry, entry, i, j, x + late * w[DX], y + late * w[DY])
     w[CI], w[CJ], w[X], w[Y], w[Z], w[AT_ARRAY] = i, j, x, y, bodies[b, slot.BODY_LOW] + late * w[DZ], entry
     return gap + late, GOES_ON
 
@@ -393,8 +400,8 @@ def _stopped_by_baffle(sheet: Packed, b: int, w: Floats, left: Floats, event: Fl
     main = int(sheet.bodies[b, slot.ENTRY])
     place = PLACE + 4 * main
     distance = event[DISTANCE]
-    before = sheet.lattices[row_of(sheet.own, int(left[AT_ARRAY]))]
-    behind = sheet.lattices[row_of(sheet.own, main)]
+    before = sheet.lattices[int(left[AT_ARRAY])]
+    behind = sheet.lattices[main]
     u, v = event[place + 2] + distance * w[DX], event[place + 3] + distance * w[DY]
     i, j = event[place] - left[CI], event[place + 1] - left[CJ]
     share = reach(before, behind, left[X], left[Y], u, v, i, j)
@@ -422,9 +429,7 @@ def _end_at(
     place = PLACE + 4 * main
     kind, distance = int(event[KIND]), event[DISTANCE]
     x, y = event[place + 2] + distance * w[DX], event[place + 3] + distance * w[DY]
-    w[PX], w[PY] = sheet_xy(
-        sheet.lattices[row_of(sheet.own, main)], main, event[place], event[place + 1], x, y
-    )
+    w[PX], w[PY] = sheet_xy(sheet.lattices[main], main, event[place], event[place + 1], x, y)
     w[PZ] = w[Z] + distance * w[DZ] + bodies[b, slot.LEVEL]
     w[PATH] += index * distance
     _record_end(w, row, hits, turns)

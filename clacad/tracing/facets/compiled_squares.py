@@ -40,7 +40,7 @@ from clacad.tracing.compiled.face import bend
 from clacad.tracing.compiled.packing import Packed
 from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.facets.compiled_hierarchy import LEVEL
-from clacad.tracing.facets.compiled_tile_block import SquareGrid, half_bin, to_level
+from clacad.tracing.facets.compiled_tiles import SquareGrid, half_bin, to_level
 from clacad.tracing.facets.squares import (
     BIN,
     BINS_X,

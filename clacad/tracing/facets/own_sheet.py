@@ -31,7 +31,9 @@ def told(
     Rays that passed a body outside its cells have missed the sheet; the endless sheet calls them land.
     """
     way = _Way.of(bodies, rays, result)
-    walkers, missed = _unmet(len(rays)), np.zeros(len(rays), dtype=bool)
+    n, places = len(rays), np.zeros((len(rays), 3))
+    beam = Beam(np.arange(n), 0, np.full((n, 2), NO_CELL), np.zeros((n, 2)), np.zeros(n), places)
+    walkers, missed = Walkers.unmet(beam, places), np.zeros(n, dtype=bool)
     for b, plan in enumerate(lay_out(window).bodies):
         rows = np.flatnonzero(way.dry[b] & ~missed)
         top = way.tops[b][rows]
@@ -95,13 +97,6 @@ def _last_body(bodies: tuple[BodyPlan, ...], result: TraceResult) -> Ints:
     ended = np.where(result.fate == Fate.WALL, np.maximum(at_wall, 0), result.surface // 2)
     ended = np.where(result.fate <= Fate.LAND, len(bodies), ended)
     return np.asarray(np.where(result.fate >= Fate.MISSED, -1, ended), dtype=np.int64)
-
-
-def _unmet(n: int) -> Walkers:
-    """Rays that have met nothing."""
-    none, no, zero = np.full((n, 2), NO_CELL, dtype=np.int64), np.zeros(n, dtype=bool), np.zeros(n)
-    beam = Beam(np.arange(n), 0, none, np.zeros((n, 2)), zero, np.zeros((n, 3)))
-    return Walkers(beam, zero, np.zeros((n, 3)), none, none, none, no, no, no, none[:, 0])
 
 
 def _cells(window: Window, array: int, at: Floats) -> Ints:

@@ -19,7 +19,7 @@ from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate_edges import next_crossing
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses
-from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
+from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL, RayColumns
 from clacad.tracing.reference.face import height, in_footprint, in_zone, lens_roots
 from clacad.tracing.reference.launch import Beam, box_span, cell_in, sheet_xy
 
@@ -27,7 +27,7 @@ Kinds = NDArray[np.int8]
 
 
 @dataclass(frozen=True, eq=False)
-class Event:
+class Event(RayColumns):
     """The first change of state along m rays.
 
     kind : (m,) ints. FRONT, BACK (a lens or plane face), FRONT_LAND, BACK_LAND, WALL, ABOVE (rose past the
@@ -43,16 +43,6 @@ class Event:
     cells: dict[int, Ints]
     starts: dict[int, Floats]
     normal: Floats | None = None
-
-    def take(self, rows: NDArray[np.intp] | Bools) -> Event:
-        """The events of chosen rays: row numbers, or which (m,)."""
-        return Event(
-            self.kind[rows],
-            self.distance[rows],
-            {array: cell[rows] for array, cell in self.cells.items()},
-            {array: start[rows] for array, start in self.starts.items()},
-            None if self.normal is None else self.normal[rows],
-        )
 
 
 class RaysInArray(NamedTuple):

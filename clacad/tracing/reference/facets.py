@@ -1,9 +1,9 @@
 """Facets of a mesh's own tiles in numpy: the facet over a point, and what rays meet first among the facets.
 
-The twin of `compiled_tile_block` and `compiled_tiles.first_facet_change` in `clacad.tracing.facets`; used for
-few rays while no kernels are compiled. A column is searched in pieces that lie over one facet of every
-tiling. In a piece both faces of a body are
-planes. A piece ends where a ray crosses an edge of a facet, a border of the cell, or an edge of the plate.
+The twin of `compiled_tiles.cross_facets` and `compiled_tiles.first_facet_change` in `clacad.tracing.facets`;
+used for few rays while no kernels are compiled. A column is searched in pieces that lie over one facet of
+every tiling. In a piece both faces of a body are planes. A piece ends where a ray crosses an edge of a facet,
+a border of the cell, or an edge of the plate.
 """
 
 from __future__ import annotations

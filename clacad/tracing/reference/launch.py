@@ -20,7 +20,7 @@ from clacad.optics.sequence import unit_directions
 from clacad.sheet.cell_places import centre_pairs
 from clacad.sheet.pattern import less_steps, relocate, section
 from clacad.tracing.layout import BodyPlan, Layout, sheet_position
-from clacad.tracing.ledger import Ledger
+from clacad.tracing.ledger import Ledger, RayColumns
 
 
 class Extent(Protocol):
@@ -44,7 +44,7 @@ class Extent(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Beam:
+class Beam(RayColumns):
     """m rays on their way, each relative to its present cell.
 
     rows : (m,) ints. Number of the launched ray of each.
@@ -64,17 +64,6 @@ class Beam:
 
     def __len__(self) -> int:
         return len(self.rows)
-
-    def take(self, chosen: NDArray[np.intp] | Bools) -> Beam:
-        """The chosen rays: row numbers, or which (m,)."""
-        return Beam(
-            self.rows[chosen],
-            self.array,
-            self.cell[chosen],
-            self.local[chosen],
-            self.z[chosen],
-            self.direction[chosen],
-        )
 
 
 def launch(

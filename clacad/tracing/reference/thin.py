@@ -16,11 +16,11 @@ from clacad.base.types import Bools, Floats, Ints, Pair2, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.sheet.cell_places import CellPlacement, LensPlaces, VertexChange, extreme_cells
-from clacad.sheet.lattice import Circle, Outline, Rectangle
+from clacad.sheet.lattice import Circle, Outline
 from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate import Plate
-from clacad.tracing.layout import Box, Layout, array_numbers, sheet_position
-from clacad.tracing.ledger import Ledger
+from clacad.tracing.layout import Box, Layout, array_numbers, half_sizes, sheet_position
+from clacad.tracing.ledger import Ledger, RayColumns
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import along_normal
 from clacad.tracing.reference.face import in_zone
@@ -93,7 +93,7 @@ class ThinPatch:
 
 
 @dataclass(frozen=True, eq=False)
-class Met:
+class Met(RayColumns):
     """What rays met in one array: a patch, a gap between two, nothing.
 
     beam : At the point met, in its cell.
@@ -195,18 +195,13 @@ def _box(box: Box, outline: Outline | None, centre: Pair2) -> Box:
     if isinstance(outline, Plate):
         x0, x1, y0, y1 = outline.box
     else:
-        wide, high = (
-            (outline.diameter, outline.diameter)
-            if isinstance(outline, Circle)
-            else (outline.width, outline.height)
-        )
-        x0, x1 = centre[0] - 0.5 * wide, centre[0] + 0.5 * wide
-        y0, y1 = centre[1] - 0.5 * high, centre[1] + 0.5 * high
+        hx, hy = half_sizes(outline)
+        x0, x1, y0, y1 = centre[0] - hx, centre[0] + hx, centre[1] - hy, centre[1] + hy
     return min(box[0], x0), max(box[1], x1), min(box[2], y0), max(box[3], y1)
 
 
 @dataclass(frozen=True, eq=False)
-class Passed:
+class Passed(RayColumns):
     """m rays that passed lens 1, and possibly a field lens.
 
     one : At lens 1.
@@ -222,16 +217,6 @@ class Passed:
     land: Bools
     odd: Ints
 
-    def take(self, chosen: Bools) -> Passed:
-        """The chosen rays, (m,) bool."""
-        return Passed(
-            _take(self.one, chosen),
-            self.beam.take(chosen),
-            self.path[chosen],
-            self.land[chosen],
-            self.odd[chosen],
-        )
-
 
 def _trace_block(layout: Layout, patches: tuple[ThinPatch, ...], ledger: Ledger, rows: Rows) -> None:
     """Trace the rays `rows` (k,) through all arrays and write their rows of the ledger."""
@@ -240,9 +225,9 @@ def _trace_block(layout: Layout, patches: tuple[ThinPatch, ...], ledger: Ledger,
     one = _meet(layout, first, beam)
     path = carried + one.distance
     on = ~one.beside & (path >= 0.0)
-    one, path = _take(one, on), path[on]
+    one, path = one.take(on), path[on]
     here, out = _go_on(layout, ledger, first, one, path)
-    one, path, out = _take(one, here), path[here], out[here]
+    one, path, out = one.take(here), path[here], out[here]
     gone = Passed(one, replace(one.beam, direction=out), path, one.land, one.beam.cell)
     last = first
     for patch in fields:
@@ -254,7 +239,7 @@ def _trace_block(layout: Layout, patches: tuple[ThinPatch, ...], ledger: Ledger,
         passes &= ~_stopped(layout, ledger, gone, last, two, length)
     else:
         _pass_beside(layout, ledger, one, two)
-    _leave(layout, ledger, second, gone.take(passes), _take(two, passes), (path + length)[passes])
+    _leave(layout, ledger, second, gone.take(passes), two.take(passes), (path + length)[passes])
 
 
 def _carried(layout: Layout, start: Beam, left: ThinPatch, entered: ThinPatch) -> tuple[Met, Floats]:
@@ -279,7 +264,7 @@ def _stopped(
     run = np.where(np.isfinite(share * length), share * length, 0.0)[stopped]
     at = _position(layout, left, start)[stopped] + run[:, None] * start.direction[stopped]
     stray = start.direction[stopped]
-    _end(layout, ledger, _take(gone.one, stopped), Fate.VIGNETTED, at, stray, gone.path[stopped] + run, 0)
+    _end(layout, ledger, gone.one.take(stopped), Fate.VIGNETTED, at, stray, gone.path[stopped] + run, 0)
     return stopped
 
 
@@ -291,9 +276,9 @@ def _through_field(layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch
     else:
         _pass_beside(layout, ledger, gone.one, met)
         on = ~met.beside
-    gone, met, path = gone.take(on), _take(met, on), (gone.path + length)[on]
+    gone, met, path = gone.take(on), met.take(on), (gone.path + length)[on]
     here, out = _go_on(layout, ledger, patch, met, path)
-    gone, met = gone.take(here), _take(met, here)
+    gone, met = gone.take(here), met.take(here)
     own = gone.one.beam.cell
     cell = met.beam.cell
     blind = patch.blind
@@ -330,7 +315,7 @@ def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Flo
         ledger.record(patch.array, beam.rows, at, np.where(stopped[:, None], beam.direction, out))
     for ended, fate in ((opaque, Fate.VIGNETTED), (backward, Fate.BACKWARD)):
         if patch.array != 1:
-            _end(layout, ledger, _take(met, ended), fate, at[ended], beam.direction[ended], path[ended], 0)
+            _end(layout, ledger, met.take(ended), fate, at[ended], beam.direction[ended], path[ended], 0)
     return ~stopped, out
 
 
@@ -424,14 +409,13 @@ def _next_border(layout: Layout, array: int, local: Floats, ray: Floats) -> tupl
 def _in_outline(layout: Layout, patch: ThinPatch, xy: Floats) -> Bools:
     """Which points lie on the border land inside the window's outline."""
     outline = layout.window.outline
+    if outline is None:
+        return np.zeros(len(xy), dtype=bool)
     if isinstance(outline, Plate):
         return outline.inside(xy)
-    x, y = (xy - np.asarray(patch.centre)).T
-    if isinstance(outline, Circle):
-        return np.asarray(np.hypot(x, y) <= 0.5 * outline.diameter)
-    if isinstance(outline, Rectangle):
-        return np.asarray((np.abs(x) <= 0.5 * outline.width) & (np.abs(y) <= 0.5 * outline.height))
-    return np.zeros(len(xy), dtype=bool)
+    (x, y), (hx, hy) = (xy - np.asarray(patch.centre)).T, half_sizes(outline)
+    inside = np.hypot(x, y) <= hx if isinstance(outline, Circle) else (np.abs(x) <= hx) & (np.abs(y) <= hy)
+    return np.asarray(inside)
 
 
 def _named(layout: Layout, beam: Beam) -> Ints:
@@ -442,14 +426,3 @@ def _named(layout: Layout, beam: Beam) -> Ints:
 
 def _position(layout: Layout, patch: ThinPatch, beam: Beam) -> Floats:
     return sheet_position(layout, patch.array, beam.cell, beam.local, beam.z + patch.level)
-
-
-def _take(met: Met, chosen: Bools) -> Met:
-    return Met(
-        met.beam.take(chosen),
-        met.distance[chosen],
-        met.lens[chosen],
-        met.land[chosen],
-        met.beside[chosen],
-        met.solid[chosen],
-    )

@@ -7,7 +7,7 @@ there. Nothing is assumed about slopes, steps, displacements or directions.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP, refract
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_position
-from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, Ledger
+from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, Ledger, RayColumns
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import Event
 from clacad.tracing.reference.face import Hit, cross, cross_at, cross_land, in_footprint
@@ -32,7 +32,7 @@ crossings."""
 
 
 @dataclass(frozen=True, eq=False)
-class Walkers:
+class Walkers(RayColumns):
     """Rays in the walk and their record so far.
 
     path : (m,) lengths. Optical path from the start.
@@ -55,10 +55,11 @@ class Walkers:
     land: Bools
     surface: Ints
 
-    def take(self, chosen: Rows | Bools) -> Walkers:
-        """The chosen rays: row numbers, or which (m,)."""
-        rest = (getattr(self, f.name)[chosen] for f in fields(self)[1:])
-        return Walkers(self.beam.take(chosen), *rest)
+    @classmethod
+    def unmet(cls, beam: Beam, position: Floats) -> Walkers:
+        """Rays that have met nothing."""
+        none, no = np.full((len(beam), 2), NO_CELL, dtype=np.int64), np.zeros(len(beam), dtype=bool)
+        return cls(beam, np.zeros(len(beam)), position, none, none, none, no, no, no, none[:, 0])
 
     def __len__(self) -> int:
         return len(self.path)
@@ -95,20 +96,7 @@ def walk(layout: Layout, ledger: Ledger, media: Sequence[float], beam: Beam, car
     beam, carried
         From `launch`: m rays on the first body's reference plane, and their distances (m,) from the start.
     """
-    m = len(beam)
-    none, no = np.full((m, 2), NO_CELL, dtype=np.int64), np.zeros(m, dtype=bool)
-    walkers = Walkers(
-        beam,
-        np.zeros(m),
-        ledger.position[beam.rows],
-        none,
-        none,
-        none,
-        no,
-        no,
-        no,
-        np.full(m, NO_CELL, dtype=np.int64),
-    )
+    walkers = Walkers.unmet(beam, ledger.position[beam.rows])
     with np.errstate(all="ignore"):
         for b, body in enumerate(layout.bodies):
             here = BodyWalk(layout, ledger, b, (media[2 * b], media[2 * b + 1], media[2 * b + 2]))
@@ -421,13 +409,4 @@ def _joined(a: Walkers, b: Walkers) -> Walkers:
         return b
     if not len(b):
         return a
-    beam = Beam(
-        np.concatenate([a.beam.rows, b.beam.rows]),
-        a.beam.array,
-        np.concatenate([a.beam.cell, b.beam.cell]),
-        np.concatenate([a.beam.local, b.beam.local]),
-        np.concatenate([a.beam.z, b.beam.z]),
-        np.concatenate([a.beam.direction, b.beam.direction]),
-    )
-    rest = (np.concatenate([getattr(a, f.name), getattr(b, f.name)]) for f in fields(a)[1:])
-    return Walkers(beam, *rest)
+    return Walkers.joined([a, b])

@@ -109,10 +109,10 @@ def _of_differing_cells(
     ladder: TracedRays, grids: Sequence[int], progress: Progress
 ) -> tuple[list[AccuracyRow], str]:
     """Rows of a non-uniform sheet, and a note on what they omit."""
-    from clacad.verification.accuracy.measure_rungs import OWN_FINEST, own_mesh_rows, own_rows
+    from clacad.verification.accuracy.measure_rungs import OWN_FINEST, exact_rows, own_mesh_rows, reference
 
     progress("the sheet itself", 0.01)
-    rows = own_rows(ladder)
+    rows = exact_rows(ladder, reference(ladder))
     asked = [grid for grid in grids if grid <= OWN_FINEST]
     for grid in asked:
         rows += own_mesh_rows(ladder, grid)
@@ -304,8 +304,9 @@ def climb(design: Design, window: Window, progress: Progress) -> Ladder:
         mesh = tessellate(window, quads=quads)
         for normals in ("facet", "vertex"):
             run = partial(trace, window, lit.rays, rung="mesh", mesh=mesh, normals=normals, path="size")
-            found = measure_rungs.row(ladder, "mesh", f"{quads} quads, {normals} normals", run, repeats=0)
-            rows.append(replace(found, quads=quads, normals=normals, triangles=mesh.facet_count))
+            facts: dict[str, Any] = {"quads": quads, "normals": normals, "triangles": mesh.facet_count}
+            setting = f"{quads} quads, {normals} normals"
+            rows.append(measure_rungs.row(ladder, "mesh", setting, run, repeats=0, **facts))
             forecast.append(MICROSECONDS["mesh"] + MICROSECONDS["mesh, a quad of the side"] * quads)
     return Ladder(tuple(rows), tuple(forecast), known)
 
@@ -332,9 +333,8 @@ def _kept(window: Window, kernel: Kernel) -> bool:
     """Whether the code of one kernel is on disk; it depends on the argument types alone."""
     from clacad.base.kernel_cache import is_kept
     from clacad.optics.rays import Rays
-    from clacad.tracing.compiled.chunk import straight_chunk_single, trace_chunk
+    from clacad.tracing.compiled.chunk import rung_is_kept, straight_chunk_single, trace_chunk
     from clacad.tracing.compiled.packing import in_single, pack
-    from clacad.tracing.compiled.surfaces import rung_is_kept
     from clacad.tracing.compiled.threads import in_arrays
     from clacad.tracing.facets.triangle_soup import facets_of
     from clacad.tracing.layout import lay_out

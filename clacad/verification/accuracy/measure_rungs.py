@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
@@ -102,6 +102,7 @@ def row(
     run: Callable[[], TraceResult],
     prepare: float = 0.0,
     repeats: int = REPEATS,
+    **facts: Any,
 ) -> AccuracyRow:
     """Measure one rung: time, memory, errors against truth and law; without repeats one run, no memory."""
     result, seconds, compiling = timed(run, repeats)
@@ -123,6 +124,7 @@ def row(
         len(ladder.rays),
         int(both.sum()),
         memory=memory,
+        **facts,
     )
 
 
@@ -213,18 +215,28 @@ def made_cost(design: Design, cell: SeenCell, lit: Bundle) -> MadeCost | None:
 
 
 def exact_rows(ladder: TracedRays, checked: dict[str, float]) -> list[AccuracyRow]:
-    """Rungs law, thin, surfaces in float64 and float32, all compiled."""
+    """Rungs law, thin, surfaces in float64 and float32, all compiled.
+
+    Of a non-uniform sheet by the code that traces it: law and thin in numpy, none in float32.
+    """
     from clacad.tracing.trace import SheetTracer, trace
 
-    window, rays = ladder.window, ladder.rays
-    surfaces = row(ladder, "surfaces", "float64", lambda: trace(window, rays, path="numba"))
-    single = row(ladder, "surfaces", "float32", lambda: SheetTracer(window, precision="float32")(rays))
-    return [
-        row(ladder, "law", "", lambda: trace(window, rays, rung="law", path="numba")),
-        row(ladder, "thin", "", lambda: trace(window, rays, rung="thin", path="numba")),
-        _with_truth(surfaces, checked, _surface_bytes(window)),
-        replace(single, bytes=_surface_bytes(window) // 2, float="f32"),
+    window, rays, own = ladder.window, ladder.rays, not ladder.window.uniform
+    path: Literal["numpy", "numba"] = "numpy" if own else "numba"
+    setting, size = ("cells that differ", _own_bytes(window)) if own else ("", _surface_bytes(window))
+    surfaces = row(ladder, "surfaces", setting or "float64", lambda: trace(window, rays, path="numba"))
+    rows = [
+        row(ladder, "law", setting, lambda: trace(window, rays, rung="law", path=path)),
+        row(ladder, "thin", setting, lambda: trace(window, rays, rung="thin", path=path)),
+        _with_truth(surfaces, checked, size),
     ]
+    if own:
+        return [replace(one, own_cells=True) for one in rows]
+
+    def single() -> TraceResult:
+        return SheetTracer(window, precision="float32")(rays)
+
+    return [*rows, row(ladder, "surfaces", "float32", single, bytes=size // 2, float="f32")]
 
 
 def _with_truth(found: AccuracyRow, checked: dict[str, float], size: int) -> AccuracyRow:
@@ -237,23 +249,6 @@ def _with_truth(found: AccuracyRow, checked: dict[str, float], size: int) -> Acc
         checked=int(checked["rays"]),
         bytes=size,
     )
-
-
-def own_rows(ladder: TracedRays) -> list[AccuracyRow]:
-    """Rungs law, thin, surfaces of a non-uniform sheet by the code that traces it: law, thin in numpy."""
-    from clacad.tracing.trace import trace
-
-    window, rays, checked = ladder.window, ladder.rays, reference(ladder)
-    setting = "cells that differ"
-    surfaces = row(ladder, "surfaces", setting, lambda: trace(window, rays, path="numba"))
-    return [
-        replace(one, own_cells=True)
-        for one in (
-            row(ladder, "law", setting, lambda: trace(window, rays, rung="law", path="numpy")),
-            row(ladder, "thin", setting, lambda: trace(window, rays, rung="thin", path="numpy")),
-            _with_truth(surfaces, checked, _own_bytes(window)),
-        )
-    ]
 
 
 def own_mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
@@ -275,13 +270,15 @@ def own_mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
         soup = own_soup(mesh, normal)
         prepare = cut + time.process_time() - began
         run = partial(trace, window, rays, rung="mesh", mesh=soup, normals=normal)
-        measured = row(ladder, "mesh", f"cells that differ, {quads} quads, {normal} normals", run, prepare)
         rows.append(
-            replace(
-                measured,
+            row(
+                ladder,
+                "mesh",
+                f"cells that differ, {quads} quads, {normal} normals",
+                run,
+                prepare,
                 quads=quads,
                 normals=normal,
-                float="f64",
                 triangles=len(soup.corners),
                 own_cells=True,
                 bytes=soup.corners.nbytes,
@@ -332,22 +329,13 @@ def mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
         for normals in ("facet", "vertex"):
             run = partial(trace, window, rays, rung="mesh", mesh=facets, normals=normals)
             setting = f"{quads} quads, {normals} normals" + (", float32 vertices" if kind == "f32" else "")
-            measured = row(ladder, "mesh", setting, run, prepare)
             stored = kind == "f32" and normals == "facet"
-            if stored:
-                write_s, read_s = _stl_seconds(window, quads)
-                measured = replace(measured, write_s=write_s, read_s=read_s)
-            rows.append(
-                replace(
-                    measured,
-                    quads=quads,
-                    normals=normals,
-                    float=kind,
-                    triangles=mesh.facet_count,
-                    bytes=_mesh_bytes(mesh) // (1 if kind == "f64" else 2),
-                    file_bytes=stl_bytes(mesh.facet_count) if stored else None,
-                )
-            )
+            write_s, read_s = _stl_seconds(window, quads) if stored else (None, None)
+            facts: dict[str, Any] = {"quads": quads, "normals": normals, "float": kind}
+            facts["triangles"] = mesh.facet_count
+            facts["bytes"] = _mesh_bytes(mesh) // (1 if kind == "f64" else 2)
+            facts["file_bytes"] = stl_bytes(mesh.facet_count) if stored else None
+            rows.append(row(ladder, "mesh", setting, run, prepare, write_s=write_s, read_s=read_s, **facts))
     return rows
 
 

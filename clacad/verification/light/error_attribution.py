@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.judging.cell_triangles import Cell, CellFacets, Gatherer, telescopelet
+from clacad.judging.cell_triangles import Cell, CellFacets, own_facets, telescopelet
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.optics.sequence import trace_sequence
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, launched, middle_direction
@@ -258,16 +258,10 @@ def farthest_cell(window: Window) -> Cell:
 
 def as_it_would_be_written(window: Window, quads: int = QUADS) -> FacetTraces:
     """Triangles as an STL in millimetres stores them, over the cell where rounding to 32 bits is coarsest."""
-    from clacad.mesh import tessellate
-
-    one, cell = window.with_cells((1, 1)), farthest_cell(window)
-    gatherer = Gatherer(one, [(0, 0)])
-    for body in tessellate(one, quads=quads).bodies:
-        for rows in body.rows():
-            gatherer.look(np.asarray(rows, dtype=np.float64))
+    cell = farthest_cell(window)
     place = np.array([*window.lattice.centres(np.array([cell], dtype=np.int64))[0], 0.0])
     held = CellFacets((cell,))
-    for key, found in gatherer.result.facets.items():
+    for key, found in own_facets(window.with_cells((1, 1)), quads).facets.items():
         held.facets[key] = [single(corners + place, millimetres(window.unit)) for corners in found]
     return as_written(
         window, held, f"triangles as an STL would hold them: {quads} quads a cell side, 32-bit numbers"

@@ -16,7 +16,7 @@ from clacad.exporting.formats.registry import formats
 from clacad.exporting.light_forecast import Grader
 from clacad.exporting.quads_and_roles import Needed, masters
 from clacad.exporting.tessellations import Meshes
-from clacad.judging.cell_triangles import Gatherer, telescopelet
+from clacad.judging.cell_triangles import own_facets, telescopelet
 from clacad.light.compare import Comparison, rms_between
 from clacad.light.measure import Light
 from clacad.optics.law import difference_of_laws
@@ -72,8 +72,6 @@ def converge(
     design: Design, window: Window, progress: Progress, quads: tuple[int, ...] = QUADS
 ) -> Convergence:
     """Tessellate one telescopelet at several refinements and trace the same rays through each."""
-    from clacad.mesh import tessellate
-
     one = window.with_cells((1, 1))
     angle = max(design.check.field, FIT_FIELD * min(half_field(thin_cells(window))))
     law = RequestedLaw(window.law)
@@ -82,11 +80,8 @@ def converge(
     errors, etas = [], []
     for k, number in enumerate(quads):
         progress("refining facets", k / len(quads))
-        gatherer = Gatherer(one, [(0, 0)])
-        for body in tessellate(one, quads=number).bodies:
-            for rows in body.rows():
-                gatherer.look(np.asarray(rows, dtype=np.float64))
-        seen = Light(lit, trace_facets(telescopelet(one, gatherer.result, 0), lit.rays), law)
+        held = telescopelet(one, own_facets(one, number), 0)
+        seen = Light(lit, trace_facets(held, lit.rays), law)
         found = Comparison(seen, truth)
         if found.laws is None:
             raise ValueError("too little light gets through the facets to fit a law")

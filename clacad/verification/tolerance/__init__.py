@@ -26,28 +26,13 @@ if TYPE_CHECKING:
         write_sweep,
     )
 
-_HOME = {
-    "Checkpoint": "farm",
-    "OtherStudy": "farm",
-    "NoTolerances": "study",
-    "Farm": "farm",
-    "MEASURES": "light_measures",
-    "Bench": "light_measures",
-    "bench": "light_measures",
-    "Parameter": "misaligned",
-    "draw": "misaligned",
-    "parameters": "misaligned",
-    "plot_sweep": "study_files",
-    "plot_tolerances": "study_files",
-    "Study": "study",
-    "tolerance": "study",
-    "Sweep": "parameter_sweep",
-    "parse_vary": "parameter_sweep",
-    "sweep": "parameter_sweep",
-    "as_made": "misaligned",
-    "telescopelet": "misaligned",
-    "write_study": "study_files",
-    "write_sweep": "study_files",
+_HOMES = {
+    "farm": ("Checkpoint", "Farm", "OtherStudy"),
+    "light_measures": ("MEASURES", "Bench", "bench"),
+    "misaligned": ("Parameter", "as_made", "draw", "parameters", "telescopelet"),
+    "parameter_sweep": ("Sweep", "parse_vary", "sweep"),
+    "study": ("NoTolerances", "Study", "tolerance"),
+    "study_files": ("plot_sweep", "plot_tolerances", "write_study", "write_sweep"),
 }
 
 __all__ = [
@@ -78,6 +63,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Import a public name from its module when it is first used."""
-    if name not in _HOME:
+    home = next((module for module, names in _HOMES.items() if name in names), None)
+    if home is None:
         raise AttributeError(f"module 'clacad.verification.tolerance' has no attribute {name!r}")
-    return getattr(import_module(f"clacad.verification.tolerance.{_HOME[name]}"), name)
+    return getattr(import_module(f"clacad.verification.tolerance.{home}"), name)

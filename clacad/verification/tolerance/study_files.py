@@ -9,6 +9,7 @@ import csv
 import io
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from importlib.util import find_spec
 from math import ceil, isfinite
 from pathlib import Path
@@ -70,16 +71,7 @@ def study_document(study: Study) -> dict[str, Any]:
             m: dict(zip(("5", "50", "95"), (finite(v) for v in study.percentiles(m)), strict=True))
             for m in study.units
         },
-        "limits": [
-            {
-                "measure": lim.measure,
-                "relation": lim.relation,
-                "value": lim.value,
-                "source": lim.source,
-                "missed": study.misses()[lim.measure],
-            }
-            for lim in study.limits
-        ],
+        "limits": [asdict(lim) | {"missed": study.misses()[lim.measure]} for lim in study.limits],
         "yield": {"share": finite(share), "low": low, "high": high},
         "nominal_misses": study.nominal_misses(),
         "versions": {"clacad": __version__},
