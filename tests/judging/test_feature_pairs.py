@@ -32,7 +32,7 @@ PAIRS = [
     if (sheet, feature.name) not in REASONS and feature.name not in ITS_OWN.get(sheet, OF_A_TABLE)
 ]
 FILES = [
-    pytest.param(*pair, marks=pytest.mark.long if k % 16 else pytest.mark.slow)
+    pytest.param(*pair, marks=pytest.mark.long if k % 32 else pytest.mark.slow)
     for k, pair in enumerate(PAIRS)
 ]
 SMALL = {"lattice__count": [4, 3], "check__field": "0.1 deg", "check__process": "none"}

@@ -51,9 +51,9 @@ QUICK = ("window-100mm", "UV resin", 1)
     [
         QUICK,
         *(
-            pytest.param(name, maker, 3, marks=pytest.mark.slow)
-            for name in ("window-100mm", "hexagonal")
-            for maker in MAKERS
+            pytest.param(name, maker, 3, marks=pytest.mark.long if (i + j) % 2 else pytest.mark.slow)
+            for i, name in enumerate(("window-100mm", "hexagonal"))
+            for j, maker in enumerate(MAKERS)
         ),
     ],
 )
