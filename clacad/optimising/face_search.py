@@ -289,6 +289,7 @@ class FaceSearch:
             else ScanLight.of(aim.scan, window)
         )
         self.before = self.error_of(window)
+        self.kept_at_start = min((self.walls.slack(window) | self._of_scan(window)).values()) >= 0.0
         self.evaluations = 0
         self.best: Best | None = None
         self.nearest = (-inf, "")
@@ -378,12 +379,15 @@ class FaceSearch:
             raise OutOfTime
         trial = self._trial(vector)
         light = self.target.residuals(trial)
-        slack = self.walls.slack(trial)
-        scan = self.target.slack(trial) if isinstance(self.target, ScanLight) else {}
+        slack, scan = self.walls.slack(trial), self._of_scan(trial)
         self._note(vector, float(np.linalg.norm(light)), slack | scan)
         ties = TIE * self.unknowns.conics(vector)
         walls = np.concatenate([penalties(slack), penalties(scan, SCAN_MARGIN)])
         return np.concatenate([light, self.stiff * walls, ties])
+
+    def _of_scan(self, trial: Window) -> dict[str, float]:
+        """Slack of the walls of a scan, if one is searched."""
+        return self.target.slack(trial) if isinstance(self.target, ScanLight) else {}
 
     def best_design(self, free: tuple[str, ...]) -> Design:
         """Best result within the walls as a design that records its origin, checked as a design file is."""
@@ -427,8 +431,10 @@ class FaceSearch:
 
     @property
     def gained(self) -> bool:
-        """Whether the best within the walls is worth writing."""
-        return self.best is not None and self.best.rms <= (1.0 - LEAST_GAIN) * self.before
+        """Whether the best within the walls is worth writing: better than the start, or that broke a wall."""
+        if self.best is None:
+            return False
+        return not self.kept_at_start or self.best.rms <= (1.0 - LEAST_GAIN) * self.before
 
     def _trial(self, vector: Floats) -> Window:
         faces, offset = self.unknowns.faces(vector)

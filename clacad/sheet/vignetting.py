@@ -100,11 +100,11 @@ def thin_cells(window: Window) -> ThinCells:
     return ThinCells(zone, image, centre, pair.separation, part, pair, window)
 
 
-def _lit_tile(window: Window) -> Floats:
-    """Part of a cell that light may use: the optical zone, reduced to the channel of a baffle."""
+def _lit_tile(window: Window, array: int = 0) -> Floats:
+    """Part of a cell of an array that light may use: the optical zone, reduced to the channel of a baffle."""
     wall = 0.0 if window.baffle is None else window.baffle.wall
     widest = max(window.land.seam, window.land.line, wall)
-    return optical_tile(replace(window, land=replace(window.land, seam=widest)))
+    return optical_tile(replace(window, land=replace(window.land, seam=widest)), array)
 
 
 def _in_lens_plane(rotation: Floats, points: Floats) -> Floats:
@@ -218,7 +218,7 @@ def partner_zone(cells: ThinCells) -> Floats:
     if not pair.second.own:
         return cells.zone
     like = replace(window, placements=(CellPlacement(), pair.second))
-    return _in_lens_plane(pair.rotation, optical_tile(like, 1))
+    return _in_lens_plane(pair.rotation, _lit_tile(like, 1))
 
 
 def partner_step(cells: ThinCells, order: tuple[int, int]) -> Floats:
