@@ -101,9 +101,10 @@ def thin_cells(window: Window) -> ThinCells:
 
 
 def _lit_tile(window: Window, array: int = 0) -> Floats:
-    """Part of a cell of an array that light may use: the optical zone, reduced to the channel of a baffle."""
+    """Part of a cell of an array that light may use: the optical zone, less walls and lines on its border."""
     wall = 0.0 if window.baffle is None else window.baffle.wall
-    widest = max(window.land.seam, window.land.line, wall)
+    line = window.land.line if window.lined_array == array else 0.0
+    widest = max(window.land.seam, line, wall)
     return optical_tile(replace(window, land=replace(window.land, seam=widest)), array)
 
 
@@ -125,7 +126,7 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
     if cells.window.baffle is not None and order != (0, 0):
         return np.zeros(len(np.asarray(directions)))
     slopes = cells.slopes(directions)
-    target = cells.zone + cells.neighbour(order)
+    target = partner_zone(cells) + cells.neighbour(order)
     whole = polygon_area(cells.image)
     common = common_areas(cells.image, arrivals(cells, slopes), target)
     return np.asarray(cells.part * common * _in_channels(cells, slopes) / whole)
@@ -145,7 +146,7 @@ def order_shares(cells: ThinCells, direction: Floats) -> dict[tuple[int, int], f
     around = np.column_stack([cells.neighbour(step) - cells.centre for step in ((1, 0), (0, 1))])
     arrival = arrivals(cells, cells.slopes(direction[None]))[0] - cells.centre
     steps = np.linalg.solve(around, (cells.image + arrival).T)
-    reach = np.abs(np.linalg.solve(around, cells.zone.T)).max(axis=1)
+    reach = np.abs(np.linalg.solve(around, partner_zone(cells).T)).max(axis=1)
     low, high = np.floor(steps.min(axis=1) - reach), np.ceil(steps.max(axis=1) + reach)
     orders = {(0, 0)}
     if np.prod(high - low + 1.0) <= MOST_ORDERS:
@@ -215,7 +216,7 @@ def _partner_apart(cells: ThinCells, index: Ints) -> Floats | None:
 def partner_zone(cells: ThinCells) -> Floats:
     """Outline (m, 2) of the optical zone of lens 2 relative to its own cell's centre, lens frame, lengths."""
     window, pair = cells.window, cells.pair
-    if not pair.second.own:
+    if not pair.second.own and window.lined_array < 0:
         return cells.zone
     like = replace(window, placements=(CellPlacement(), pair.second))
     return _in_lens_plane(pair.rotation, _lit_tile(like, 1))
@@ -299,7 +300,7 @@ def lit_zone(cells: ThinCells) -> Floats:
     It is the intersection of the image of lens 1's zone and lens 2's zone; for cells along the lens axes
     p·min(1, |m|) wide.
     """
-    return clip(cells.image, cells.zone)
+    return clip(cells.image, partner_zone(cells))
 
 
 def fresnel_numbers(cells: ThinCells, wavelength: float, lit: Floats | None = None) -> tuple[float, float]:

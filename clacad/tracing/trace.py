@@ -24,6 +24,7 @@ from clacad.sheet.window import Window
 from clacad.tracing.facets.tiles import Tiles
 from clacad.tracing.layout import Layout, lay_out
 from clacad.tracing.ledger import Ledger
+from clacad.tracing.reference.face import on_line
 from clacad.tracing.reference.launch import trace_law
 from clacad.tracing.which_path import (
     IDEAL_FACES,
@@ -98,7 +99,7 @@ class SheetTracer:
 
     @property
     def lined(self) -> bool:
-        """Whether an opaque line on a face ends rays: of exact surfaces and facets."""
+        """Whether the recorded hits decide which rays an opaque line ends: of exact surfaces and facets."""
         return self.window.land.lined >= 0 and self.rung in ("surfaces", "mesh")
 
     def _without_line(self, rays: Rays, record: bool) -> TraceResult:
@@ -211,15 +212,11 @@ def _ended_at_line(layout: Layout, rays: Rays, found: TraceResult) -> TraceResul
     window, number = layout.window, layout.window.land.lined
     assert found.hits is not None
     assert found.directions is not None  # both recorded
-    body = window.bodies[number // 2]
-    face = body.back if number % 2 else body.front
-    place = found.hits[number] - [*window.shifts[face.array or 0], 0.0]
-    _, *local = window.lattice.locate(place[:, 0], place[:, 1])
-    margin = np.full(len(rays), np.inf)
-    for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):
-        across = np.stack(local, axis=1) @ np.asarray(window.lattice.offset(*step)) / (2.0 * half)
-        margin = np.minimum(margin, half - np.abs(across))
-    rows = np.flatnonzero((found.surface >= number) & (margin < 0.5 * window.land.line))
+    array = window.lined_array
+    place = found.hits[number, :, :2] - np.asarray(window.shifts[array])
+    cell, *local = layout.lattices[array].locate(place[:, 0], place[:, 1])
+    on = on_line(layout, array, cell, np.stack(local, axis=1))
+    rows = np.flatnonzero((found.surface >= number) & on)
     hits, ways, path = found.hits.copy(), found.directions.copy(), found.optical_path.copy()
     before = ways[number - 1] if number else rays.direction
     hits[number + 1 :, rows], ways[number:, rows] = hits[number, rows], before[rows]
