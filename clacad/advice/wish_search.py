@@ -152,7 +152,7 @@ class Search:
             if (
                 one is None
                 or not one.good
-                or _rms(one) > _sharp(self.wish, one.pitch.value)
+                or rms_of(one) > _sharp(self.wish, one.pitch.value)
                 or _more(self.wish, one, found)
             ):
                 break
@@ -334,7 +334,8 @@ def avoidable(tried: Tried, wish: Wish) -> float:
     return len(warnings) + 0.5 * (height > max(wish.size.size))
 
 
-def _rms(tried: Tried) -> float:
+def rms_of(tried: Tried) -> float:
+    """Rms error (radians) over the field."""
     value = next(check.value for check in tried.judged.checks if check.kind is LAW_RMS)
     return value if isinstance(value, float) else inf
 

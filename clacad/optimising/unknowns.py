@@ -55,23 +55,17 @@ class Unknown:
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns:
-    """Free numbers of the faces.
+class FreeNumbers:
+    """Free numbers of faces.
 
     start : All faces in the order of the light, at the start of the search.
-    offset : (2,) lengths or None
-        Offset of lens 2, free or fixed at its start value; None: it is 0 and fixed.
+    free : The unknowns.
     half : Half a cell, length.
-    still : Whether lens 2 keeps its position: its offset is not free.
-    ellipsoids : Conic constants follow from the radii: κ = √(c_x c_y).
     """
 
     start: tuple[FaceSpec, ...]
-    offset: tuple[float, float] | None
     free: tuple[Unknown, ...]
     half: float
-    still: bool
-    ellipsoids: bool
 
     @property
     def vector(self) -> Floats:
@@ -82,11 +76,41 @@ class Unknowns:
         """Conic constants among the unknowns (k,)."""
         return np.array([CONICS * v for one, v in zip(self.free, vector, strict=True) if one.kind == "K"])
 
+    def _read(self, one: Unknown) -> float:
+        """An unknown of a face at the start."""
+        face, part = self.start[one.faces[0]], max(one.part, 0)
+        if one.kind == "c":
+            return face.curvature[part] * self.half
+        if one.kind == "K":
+            return face.conic[part] / CONICS
+        return float(getattr(face, one.kind)[part]) * slope_of(one.kind, self.half)
+
+    def _tables(self) -> tuple[list[list[float]], list[list[float]], dict[str, list[list[float]]]]:
+        """Curvatures, conic constants and terms of each order of the faces at the start, to be changed."""
+        return (
+            [list(face.curvature) for face in self.start],
+            [list(face.conic) for face in self.start],
+            {order: [list(getattr(face, order)) for face in self.start] for order in MONOMIALS},
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns(FreeNumbers):
+    """Free numbers of the faces of a pair.
+
+    offset : (2,) lengths or None
+        Offset of lens 2, free or fixed at its start value; None: it is 0 and fixed.
+    still : Whether lens 2 keeps its position: its offset is not free.
+    ellipsoids : Conic constants follow from the radii: κ = √(c_x c_y).
+    """
+
+    offset: tuple[float, float] | None
+    still: bool
+    ellipsoids: bool
+
     def faces(self, vector: Floats) -> tuple[tuple[FaceSpec, ...], tuple[float, float] | None]:
         """Faces, and the offset of lens 2, for unknowns (k,)."""
-        curvature = [list(face.curvature) for face in self.start]
-        conic = [list(face.conic) for face in self.start]
-        terms = {order: [list(getattr(face, order)) for face in self.start] for order in MONOMIALS}
+        curvature, conic, terms = self._tables()
         offset = None if self.offset is None else list(self.offset)
         for one, value in zip(self.free, vector.tolist(), strict=True):
             if one.kind == "d":
@@ -113,12 +137,7 @@ class Unknowns:
         if one.kind == "d":
             assert self.offset is not None
             return self.offset[one.part] / self.half
-        face = self.start[one.faces[0]]
-        if one.kind == "c":
-            return face.curvature[one.part] * self.half
-        if one.kind == "K":
-            return face.conic[one.part] / CONICS
-        return float(getattr(face, one.kind)[one.part]) * slope_of(one.kind, self.half)
+        return super()._read(one)
 
 
 def slope_of(order: str, half: float) -> float:
@@ -166,7 +185,7 @@ def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
     # separation
     offset = None if still and d[0] == d[1] == 0.0 else (float(d[0]), float(d[1]))
     free += [] if still else [Unknown("d", (), i) for i in (0, 1)]
-    return Unknowns(faces, offset, tuple(free), half, still, ellipsoids)
+    return Unknowns(faces, tuple(free), half, offset, still, ellipsoids)
 
 
 def _groups(window: Window, lenses: list[int], *, bent: bool) -> list[tuple[int, ...]]:
@@ -324,33 +343,14 @@ SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class ListedUnknowns:
-    """Free numbers of listed faces.
+class ListedUnknowns(FreeNumbers):
+    """Free numbers of listed faces, each with its place; an unknown "t" is the distance behind a face."""
 
-    start : Faces at the start of the search, each with its place.
-    free : Of kind "c", "K", "a4", "a6", "a8", or "t": the distance behind a face.
-    half : Half a cell, length.
-    """
-
-    start: tuple[FaceSpec, ...]
-    free: tuple[Unknown, ...]
-    half: float
     still: bool = True
-
-    @property
-    def vector(self) -> Floats:
-        """Unknowns (k,) at the start of the search."""
-        return np.array([self._read(one) for one in self.free])
-
-    def conics(self, vector: Floats) -> Floats:
-        """Conic constants among the unknowns (k,)."""
-        return np.array([CONICS * v for one, v in zip(self.free, vector, strict=True) if one.kind == "K"])
 
     def faces(self, vector: Floats) -> tuple[tuple[FaceSpec, ...], None]:
         """Faces for unknowns (k,); array 2 keeps its place."""
-        curvature = [list(face.curvature) for face in self.start]
-        conic = [list(face.conic) for face in self.start]
-        terms = {order: [list(getattr(face, order)) for face in self.start] for order in MONOMIALS}
+        curvature, conic, terms = self._tables()
         gaps = np.diff(vertices_of(self.start)).tolist()
         for one, value in zip(self.free, vector.tolist(), strict=True):
             for image, k in enumerate(one.faces):
@@ -377,14 +377,9 @@ class ListedUnknowns:
         return tuple(made), None
 
     def _read(self, one: Unknown) -> float:
-        face, part = self.start[one.faces[0]], max(one.part, 0)
         if one.kind == "t":
             return float(np.diff(vertices_of(self.start))[one.faces[0]]) / (2.0 * self.half)
-        if one.kind == "c":
-            return face.curvature[part] * self.half
-        if one.kind == "K":
-            return face.conic[part] / CONICS
-        return float(getattr(face, one.kind)[part]) * slope_of(one.kind, self.half)
+        return super()._read(one)
 
 
 def listed_unknowns(design: Design, window: Window, words: tuple[str, ...]) -> ListedUnknowns:

@@ -17,7 +17,7 @@ from clacad.prescription.prescribe import prescribe
 from clacad.sheet.face_order import plates_of
 from clacad.sheet.moved_plates import moved_plates
 from clacad.sheet.window import Face, Window, face_height
-from clacad.steering.scan import AXES, Steered
+from clacad.steering.scan import Scan, Steered
 from clacad.tracing.trace import trace
 
 if TYPE_CHECKING:
@@ -61,10 +61,14 @@ def draw(figure: Figure, found: Steered) -> None:
     travel, slope = columns["travel"], columns["slope"]
     (steered, bent), (spread, light) = figure.subplots(2, 2, sharex=True)
     closed = columns[f"closed_form_{'xy'[found.along]}"]
-    steered.plot(travel, 1e3 * slope, "o-", color=RAYS, ms=3, lw=1.2, label="traced")
-    steered.plot(travel, 1e3 * closed, "--", color=PARAXIAL, lw=1.0, label="paraxial")
-    steered.set_ylabel("exit slope (1e-3)")
-    steered.legend(fontsize=8)
+    if found.axis == "z":
+        steered.plot(travel, columns["power"], "o-", color=RAYS, ms=3, lw=1.2)
+        steered.set_ylabel("convergence (1/m)")
+    else:
+        steered.plot(travel, 1e3 * slope, "o-", color=RAYS, ms=3, lw=1.2, label="traced")
+        steered.plot(travel, 1e3 * closed, "--", color=PARAXIAL, lw=1.0, label="paraxial")
+        steered.set_ylabel("exit slope (1e-3)")
+        steered.legend(fontsize=8)
     bent.plot(travel, 1e3 * (slope - closed), "o-", color=RAYS, ms=3, lw=1.2)
     bent.set_ylabel("traced minus paraxial (1e-3)")
     spread.plot(travel, 1e3 * columns["spread"], "o-", color=RAYS, ms=3, lw=1.2, label="rays")
@@ -137,11 +141,11 @@ def page(design: Design, found: Steered) -> str:
 
 def _sections(window: Window, found: Steered) -> list[dict[str, Any]]:
     """Faces and rays of each position in the plane of travel; lengths, [across, z] each."""
-    made = []
-    for one in found.positions:
-        there = {plate: one.travel * part * np.array(AXES[found.axis]) for plate, part in found.moves.items()}
-        made.append(_section(moved_plates(window, there).with_cells((9, 9)), found.along))
-    return made
+    scan, few = Scan(1.0, found.axis, found.moves), window.with_cells((9, 9))
+    return [
+        _section(moved_plates(few, scan.displacements(few, one.travel)), found.along)
+        for one in found.positions
+    ]
 
 
 def _section(window: Window, along: int) -> dict[str, Any]:
