@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from math import comb, inf, sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -85,7 +85,7 @@ class FreeNumbers:
             return face.conic[part] / CONICS
         return float(getattr(face, one.kind)[part]) * slope_of(one.kind, self.half)
 
-    def _tables(self) -> tuple[list[list[float]], list[list[float]], dict[str, list[list[float]]]]:
+    def _tables(self) -> tuple[list[list[float]], list[list[float]], dict[str, list[Any]]]:
         """Curvatures, conic constants and terms of each order of the faces at the start, to be changed."""
         return (
             [list(face.curvature) for face in self.start],
