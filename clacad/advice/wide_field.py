@@ -155,7 +155,7 @@ class WideSearch:
                 widest = tan(self.wish.field) * sqrt(self.limit / reached)
                 self.why.append(
                     f"{about}; searches with all terms got this form to {mrad_text(reached)},"
-                    f" {mrad_text(self.limit)} are wished: hopeless; it may keep them to {widest:.3g} in slope"
+                    f" {mrad_text(self.limit)} are wished: hopeless; it may keep them to a slope of {widest:.3g}"
                 )
                 continue
             self.why.append(f"{about} ({mrad_text(self.limit)} are wished)")

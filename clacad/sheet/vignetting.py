@@ -31,6 +31,7 @@ from clacad.base.polygons import clip, common_areas, polygon_area
 from clacad.base.types import Bools, Floats, Ints, Pair2
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.cell_places import CellPlacement
+from clacad.sheet.face_order import lined_array
 from clacad.sheet.pattern import relocate
 from clacad.sheet.window import ThinPair, Window, optical_tile
 
@@ -103,7 +104,7 @@ def thin_cells(window: Window) -> ThinCells:
 def _lit_tile(window: Window, array: int = 0) -> Floats:
     """Part of a cell of an array that light may use: the optical zone, less walls and lines on its border."""
     wall = 0.0 if window.baffle is None else window.baffle.wall
-    line = window.land.line if window.lined_array == array else 0.0
+    line = window.land.line if lined_array(window) == array else 0.0
     widest = max(window.land.seam, line, wall)
     return optical_tile(replace(window, land=replace(window.land, seam=widest)), array)
 
@@ -216,7 +217,7 @@ def _partner_apart(cells: ThinCells, index: Ints) -> Floats | None:
 def partner_zone(cells: ThinCells) -> Floats:
     """Outline (m, 2) of the optical zone of lens 2 relative to its own cell's centre, lens frame, lengths."""
     window, pair = cells.window, cells.pair
-    if not pair.second.own and window.lined_array < 0:
+    if not pair.second.own and lined_array(window) < 0:
         return cells.zone
     like = replace(window, placements=(CellPlacement(), pair.second))
     return _in_lens_plane(pair.rotation, _lit_tile(like, 1))

@@ -394,28 +394,6 @@ class Window(PlacedArrays):
         """All faces in the order light reaches them."""
         return tuple(face for body in self.bodies for face in (body.front, body.back))
 
-    @property
-    def lined_face(self) -> Face | None:
-        """The face with an opaque line."""
-        return None if self.land.lined < 0 else self.faces[self.land.lined]
-
-    @property
-    def lined_array(self) -> int:
-        """The array along whose cells an opaque line runs; -1 without one."""
-        face = self.lined_face
-        return -1 if face is None or face.array is None else face.array
-
-    @property
-    def lined_surfaces(self) -> tuple[int, ...]:
-        """Numbers of the surfaces of a trace with an opaque line: two of a joint, which both bodies have."""
-        number = self.land.lined
-        if number < 0:
-            return ()
-        body, back = divmod(number, 2)
-        if back and body + 1 < len(self.bodies) and self.bodies[body + 1].joined:
-            return number, number + 1
-        return (number - 1, number) if not back and self.bodies[body].joined else (number,)
-
     def number_of(self, face: Face) -> int:
         """Number of one of `faces`, which may be equal. Raises StopIteration: It is none of them."""
         return next(k for k, one in enumerate(self.faces) if one is face)

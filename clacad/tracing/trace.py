@@ -18,7 +18,7 @@ import numpy as np
 
 from clacad.base.types import Rows, Rung
 from clacad.optics.rays import Fate, OneRay, Rays, TraceResult, as_rays
-from clacad.sheet.face_order import media_of
+from clacad.sheet.face_order import lined_array, media_of
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Window
 from clacad.tracing.facets.tiles import Tiles
@@ -212,7 +212,7 @@ def _ended_at_line(layout: Layout, rays: Rays, found: TraceResult) -> TraceResul
     window, number = layout.window, layout.window.land.lined
     assert found.hits is not None
     assert found.directions is not None  # both recorded
-    array = window.lined_array
+    array = lined_array(window)
     place = found.hits[number, :, :2] - np.asarray(window.shifts[array])
     cell, *local = layout.lattices[array].locate(place[:, 0], place[:, 1])
     on = on_line(layout, array, cell, np.stack(local, axis=1))

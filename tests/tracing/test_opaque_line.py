@@ -17,6 +17,7 @@ from clacad.effects.engine.nonsequential import mirrored, trace_nonsequential
 from clacad.effects.engine.passes import _BlockRun
 from clacad.optics.rays import Fate
 from clacad.sheet.bundle import bundle
+from clacad.sheet.face_order import lined_array, lined_face, lined_surfaces
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.tracing.trace import trace
 
@@ -115,7 +116,7 @@ def test_a_line_on_a_joint_ends_rays_there_and_has_a_mask(tmp_path):
     plain = load("achromat-plastic", ["lattice.count = [3, 3]"])
     made = plain.replace({"lattice.line": {"face": 2, "width": 0.05}})
     window = prescribe(made)
-    assert window.lined_surfaces == (1, 2)
+    assert lined_surfaces(window) == (1, 2)
     share_ended = (trace(window, lit(window), path="numpy").fate == Fate.VIGNETTED).mean()
     free = trace(prescribe(plain), lit(window), record=True, path="numpy")
     local = (free.hits[1, :, :2] + 0.5 * PITCH) % PITCH - 0.5 * PITCH
@@ -140,8 +141,8 @@ def test_pictures_lose_the_light_of_the_line_with_losses_and_by_paths_in_any_ord
     out = trace_nonsequential(window, rays, rows, rules_for(window, Setting(), None))
     assert ((out.share["opaque"] > 0.5) == dark).mean() > 0.999
     down = mirrored(window)
-    assert down.lined_array == window.lined_array
-    assert down.lined_face.vertex[2] == -window.lined_face.vertex[2]
+    assert lined_array(down) == lined_array(window)
+    assert lined_face(down).vertex[2] == -lined_face(window).vertex[2]
 
 
 @pytest.mark.parametrize(

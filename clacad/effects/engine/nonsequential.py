@@ -17,6 +17,7 @@ from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import Rays
 from clacad.optics.surface import refract
 from clacad.optics.surface.fresnel_coefficients import deviation, reflected
+from clacad.sheet.face_order import lined_array, lined_surfaces
 from clacad.sheet.window import IDENTITY, Body, Face, Window
 from clacad.tracing.layout import BodyPlan, Layout, lay_out, lenses, sheet_position
 from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
@@ -428,9 +429,9 @@ class _Packets:
 
 def at_line(layout: Layout, number: int, ray: Floats, event: Event) -> Bools:
     """Which rays, unit directions (m, 3), meet a face of a body on its opaque line, (m,)."""
-    array, on = layout.window.lined_array, np.zeros(len(ray), dtype=bool)
+    array, on = lined_array(layout.window), np.zeros(len(ray), dtype=bool)
     for side, kinds in enumerate(((FRONT, FRONT_LAND), (BACK, BACK_LAND))):
-        if 2 * number + side in layout.window.lined_surfaces:
+        if 2 * number + side in lined_surfaces(layout.window):
             place = event.starts[array] + event.distance[:, None] * ray[:, :2]
             on |= np.isin(event.kind, kinds) & on_line(layout, array, event.cells[array], place)
     return on

@@ -137,7 +137,7 @@ def in_zone(layout: Layout, local: Floats, margin: float, array: int = 0) -> Boo
 
 
 def on_line(layout: Layout, array: int, cell: Ints, local: Floats) -> Bools:
-    """Which points (m, 2) of the cell frames of an array lie on the opaque line along borders of kept cells."""
+    """Which points (m, 2) of the cell frames of an array lie on the opaque line around kept cells."""
     margin = 0.5 * layout.window.land.line
     return np.asarray(layout.lattice.contains(cell) & ~in_zone(layout, local, margin, array))
 

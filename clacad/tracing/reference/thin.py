@@ -16,6 +16,7 @@ from clacad.base.types import Bools, Floats, Ints, Pair2, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.sheet.cell_places import CellPlacement, LensPlaces, VertexChange, extreme_cells
+from clacad.sheet.face_order import lined_array
 from clacad.sheet.lattice import Circle, Outline, Rectangle
 from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate import Plate
@@ -337,7 +338,7 @@ def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Flo
 def _stops(layout: Layout, patch: ThinPatch, met: Met) -> Bools:
     """Which rays (m,) end at opaque land or on the opaque line of a face of the array."""
     opaque = met.land & met.solid & layout.window.land.opaque
-    if layout.window.lined_array != patch.array:
+    if lined_array(layout.window) != patch.array:
         return opaque
     return opaque | (met.lens | met.solid) & on_line(layout, patch.array, met.beam.cell, met.beam.local)
 
