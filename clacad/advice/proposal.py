@@ -61,7 +61,7 @@ def binding(search: Search) -> Iterator[str]:
             f" {best.separation:g} mm):"
         )
         checks = best.judged.failing or best.judged.tight
-        yield from (f"    {_fault(check)}" for check in checks)
+        yield from (f"    {fault(check)}" for check in checks)
     yield from (f"  {reason}" for reason in list(dict.fromkeys(search.refused))[:REASONS])
 
 
@@ -199,7 +199,8 @@ def _excess(tried: Tried) -> float:
     )
 
 
-def _fault(check: Check) -> str:
+def fault(check: Check) -> str:
+    """Sentence on a failing check: its value, limit and where the limit comes from."""
     value, limit, unit, _ = shown(check.value, check.limit, check.relation, check.unit, check.state)
     return (
         f"{check.id}: {value}, and the limit is {check.relation} {limit} {unit}".rstrip()
@@ -297,11 +298,10 @@ def _for_the_eye(found: Proposal) -> Iterator[str]:
     """Construction that serves a stated eye, and the share of its light that obeys the law."""
     if found.wish.viewing is None:
         return
-    share = next(check.value for check in found.judged.checks if check.kind is VIEWED)
     means = {"": "aligned cells alone", "field lens": "field lenses", "aimed": "cells aimed at the eye"}
     yield (
         f"viewer at {found.wish.viewing:g} mm: {means[found.chosen.variant.eye]} keep"
-        f" {percent_text(float(share or 0.0))} of its light on the law over the whole sheet"
+        f" {percent_text(found.judged.measured(VIEWED))} of its light on the law over the whole sheet"
     )
 
 

@@ -23,11 +23,11 @@ from clacad.advice.candidate import (
     wanted_pitch,
 )
 from clacad.advice.judged import judge
+from clacad.advice.proposal import fault
 from clacad.advice.wish import Wish, angle_text, mrad_value, wavelength_text
-from clacad.advice.wish_search import Tried, rms_of
+from clacad.advice.wish_search import Tried
 from clacad.base.text import mrad_text
 from clacad.base.types import Progress
-from clacad.checks.check import Check
 from clacad.checks.light_kinds import LAW_RMS, RESIDUAL
 from clacad.design import Design, DesignError
 from clacad.design.sections import CHECK
@@ -118,7 +118,7 @@ class WideSearch:
                         one = self._searched(starter, design, words) or one
             if self._serves(one):
                 self.why.append(
-                    f"{starter} keeps the law within {mrad_text(rms_of(one))} over"
+                    f"{starter} keeps the law within {mrad_text(one.judged.measured(LAW_RMS))} over"
                     f" {angle_text(self.wish.field)}"
                 )
                 return one
@@ -126,13 +126,16 @@ class WideSearch:
 
     def _serves(self, one: Tried) -> bool:
         """Whether verify will pass and the error is within the wish."""
-        return one.judged.passes and rms_of(one) <= self.limit
+        return one.judged.passes and one.judged.measured(LAW_RMS) <= self.limit
 
     def _faults(self, one: Tried) -> str:
         """Failing checks with value and limit; the error where it alone is beyond the wish."""
-        failing = [f"{check.id} {_value(check)}" for check in one.judged.failing]
-        if rms_of(one) > self.limit:
-            failing.insert(0, f"{mrad_text(rms_of(one))} over the field, {mrad_text(self.limit)} are wished")
+        failing = [fault(check) for check in one.judged.failing]
+        if one.judged.measured(LAW_RMS) > self.limit:
+            failing.insert(
+                0,
+                f"{mrad_text(one.judged.measured(LAW_RMS))} over the field, {mrad_text(self.limit)} are wished",
+            )
         return "; ".join(failing)
 
     def _hopeful(self) -> Iterator[tuple[str, Design]]:
@@ -155,7 +158,8 @@ class WideSearch:
                 widest = tan(self.wish.field) * sqrt(self.limit / reached)
                 self.why.append(
                     f"{about}; searches with all terms got this form to {mrad_text(reached)},"
-                    f" {mrad_text(self.limit)} are wished: hopeless; it may keep them to a slope of {widest:.3g}"
+                    f" {mrad_text(self.limit)} are wished: hopeless; it may keep them to a slope of"
+                    f" {widest:.3g}"
                 )
                 continue
             self.why.append(f"{about} ({mrad_text(self.limit)} are wished)")
@@ -226,9 +230,3 @@ def scaled_keys(wish: Wish, starter: str, name: str) -> dict[str, Any]:
         "check": {key: value for key, value in known["check"].items() if key != LAW_RMS.id}
         | check_keys(wish),
     }
-
-
-def _value(check: Check) -> str:
-    value, limit = check.value, check.limit
-    both = isinstance(value, float) and isinstance(limit, float)
-    return f"{value:.4g}, limit {limit:.4g}" if both else check.sentence

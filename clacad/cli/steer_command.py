@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from clacad.base.text import mrad_text, percent_text, table
 from clacad.cli.brief import Brief, facts
@@ -19,13 +19,8 @@ if TYPE_CHECKING:
 
 TASK = "steer"
 
-KINDS: dict[str, Literal["csv", "png", "svg", "html"]] = {
-    ".csv": "csv",
-    ".png": "png",
-    ".svg": "svg",
-    ".html": "html",
-}
-"""Ending of a file → what is written."""
+KINDS = (".csv", ".png", ".svg", ".html")
+"""Endings of the files that are written."""
 
 SECONDS_A_RAY, SECONDS_OF_WAVES = 4e-6, 0.8
 """Processor seconds for each ray, and for the waves of a position, on the reference machine."""
@@ -59,8 +54,8 @@ class SteerBeam(OfDesign):
 
 def run(request: SteerBeam, console: Console) -> int:
     """Scan, print the positions, write the file."""
-    kind = None if request.out is None else KINDS.get(request.out.suffix.lower())
-    if request.out is not None and kind is None:
+    kind = None if request.out is None else request.out.suffix.lower()
+    if request.out is not None and kind not in KINDS:
         raise BadOption(f"-o {request.out}: the name ends in {', '.join(KINDS)}")
     design = load_counted(request.design, request.set)
     travel = parse_travel("--travel", request.travel, design.unit)
@@ -92,13 +87,13 @@ def run(request: SteerBeam, console: Console) -> int:
     return 0
 
 
-def _content(design: Design, found: Steered, kind: Literal["csv", "png", "svg", "html"]) -> str | bytes:
+def _content(design: Design, found: Steered, kind: str) -> str | bytes:
     """Content of the requested file."""
     from clacad.report.scan_files import csv_text, page, picture
 
-    if kind == "html":
+    if kind == ".html":
         return page(design, found)
-    return csv_text(found) if kind == "csv" else picture(found, kind)
+    return csv_text(found) if kind == ".csv" else picture(found, "png" if kind == ".png" else "svg")
 
 
 HEAD = ("travel", "slope x, y", "paraxial", "spread", "share", "beam", "order", "efficiency", "on order")

@@ -41,6 +41,12 @@ NEVER = {
 
 CONICS = 10.0
 
+BOTH = -1
+"""Part of an unknown of both meridians of a round face."""
+
+Terms = dict[str, list[list[Any]]]
+"""Coefficients of each order, of every face."""
+
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
@@ -85,13 +91,37 @@ class FreeNumbers:
             return face.conic[part] / CONICS
         return float(getattr(face, one.kind)[part]) * slope_of(one.kind, self.half)
 
-    def _tables(self) -> tuple[list[list[float]], list[list[float]], dict[str, list[Any]]]:
-        """Curvatures, conic constants and terms of each order of the faces at the start, to be changed."""
-        return (
-            [list(face.curvature) for face in self.start],
-            [list(face.conic) for face in self.start],
-            {order: [list(getattr(face, order)) for face in self.start] for order in MONOMIALS},
-        )
+    def _shapes(
+        self, vector: Floats, image_sign: float
+    ) -> tuple[list[list[float]], list[list[float]], Terms]:
+        """Curvatures, conic constants and terms of each order of the faces for unknowns (k,).
+
+        image_sign : Sign of curvatures and terms of all but the first of the faces that share an unknown.
+        """
+        curvature, conic = ([list(getattr(f, name)) for f in self.start] for name in ("curvature", "conic"))
+        terms = {order: [list(getattr(face, order)) for face in self.start] for order in MONOMIALS}
+        for one, value in zip(self.free, vector.tolist(), strict=True):
+            for image, k in enumerate(one.faces):
+                size = image_sign * value if image else value
+                if one.kind == "c":
+                    row, size = curvature[k], size / self.half
+                elif one.kind == "K":
+                    row, size = conic[k], value * CONICS
+                elif one.kind in MONOMIALS:
+                    row, size = terms[one.kind][k], size / slope_of(one.kind, self.half)
+                else:
+                    continue
+                for part in range(len(row)) if one.part == BOTH else (one.part,):
+                    row[part] = size * (comb(len(row) - 1, part) if one.part == BOTH else 1)
+        return curvature, conic, terms
+
+
+def _specs(curvature: list[list[float]], conic: list[list[float]], terms: Terms) -> tuple[FaceSpec, ...]:
+    """Faces of these shapes."""
+    rows = zip(curvature, conic, *terms.values(), strict=True)
+    return tuple(
+        FaceSpec((radius_of(c[0]), radius_of(c[1])), (k[0], k[1]), *map(tuple, orders)) for c, k, *orders in rows
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,27 +140,15 @@ class Unknowns(FreeNumbers):
 
     def faces(self, vector: Floats) -> tuple[tuple[FaceSpec, ...], tuple[float, float] | None]:
         """Faces, and the offset of lens 2, for unknowns (k,)."""
-        curvature, conic, terms = self._tables()
+        curvature, conic, terms = self._shapes(vector, 1.0)
         offset = None if self.offset is None else list(self.offset)
         for one, value in zip(self.free, vector.tolist(), strict=True):
             if one.kind == "d":
                 assert offset is not None
                 offset[one.part] = value * self.half
-            for k in one.faces:
-                if one.kind == "c":
-                    curvature[k][one.part] = value / self.half
-                elif one.kind == "K":
-                    conic[k][one.part] = value * CONICS
-                else:
-                    terms[one.kind][k][one.part] = value / slope_of(one.kind, self.half)
         if self.ellipsoids:
             conic = [_ellipsoid(c, k) for c, k in zip(curvature, conic, strict=True)]
-        made = tuple(
-            FaceSpec((radius_of(c[0]), radius_of(c[1])), (k[0], k[1]), a4, a6, a8)
-            for c, k, a4, a6, a8 in zip(
-                curvature, conic, *(map(tuple, rows) for rows in terms.values()), strict=True
-            )
-        )
+        made = _specs(curvature, conic, terms)
         return made, None if offset is None else (offset[0], offset[1])
 
     def _read(self, one: Unknown) -> float:
@@ -335,9 +353,6 @@ LISTED_NEVER = {
     "separation": "the distances of a list are its thickness",
 }
 
-BOTH = -1
-"""Part of an unknown of both meridians."""
-
 SAME = 1e-6
 """Relative difference below which numbers of a list count as equal."""
 
@@ -350,30 +365,17 @@ class ListedUnknowns(FreeNumbers):
 
     def faces(self, vector: Floats) -> tuple[tuple[FaceSpec, ...], None]:
         """Faces for unknowns (k,); array 2 keeps its place."""
-        curvature, conic, terms = self._tables()
         gaps = np.diff(vertices_of(self.start)).tolist()
         for one, value in zip(self.free, vector.tolist(), strict=True):
-            for image, k in enumerate(one.faces):
-                sign = -1.0 if image else 1.0
-                if one.kind == "t":
-                    gaps[k] = 2.0 * self.half * value
-                elif one.kind in MONOMIALS:
-                    size = sign * value / slope_of(one.kind, self.half)
-                    row = terms[one.kind][k]
-                    parts = range(len(row)) if one.part == BOTH else (one.part,)
-                    for part in parts:
-                        row[part] = size * (comb(len(row) - 1, part) if one.part == BOTH else 1)
-                else:
-                    size = sign * value / self.half if one.kind == "c" else value * CONICS
-                    for part in (0, 1) if one.part == BOTH else (one.part,):
-                        (curvature if one.kind == "c" else conic)[k][part] = size
+            for k in one.faces if one.kind == "t" else ():
+                gaps[k] = 2.0 * self.half * value
         places = np.concatenate([[0.0], np.cumsum(gaps)]).tolist()
-        made = []
-        for k, face in enumerate(self.start):
-            radius = [1.0 / c if c else inf for c in curvature[k]]
-            a4, a6, a8 = (tuple(rows[k]) for rows in terms.values())
-            shape = FaceSpec((radius[0], radius[1]), (conic[k][0], conic[k][1]), a4, a6, a8)
-            made.append(replace(shape, z=places[k] if k else None, array=face.array, behind=face.behind))
+        made = [
+            replace(shape, z=places[k] if k else None, array=face.array, behind=face.behind)
+            for k, (shape, face) in enumerate(
+                zip(_specs(*self._shapes(vector, -1.0)), self.start, strict=True)
+            )
+        ]
         return tuple(made), None
 
     def _read(self, one: Unknown) -> float:

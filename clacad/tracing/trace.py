@@ -217,26 +217,19 @@ def _ended_at_line(layout: Layout, rays: Rays, found: TraceResult) -> TraceResul
     cell, *local = layout.lattices[array].locate(place[:, 0], place[:, 1])
     on = on_line(layout, array, cell, np.stack(local, axis=1))
     rows = np.flatnonzero((found.surface >= number) & on)
-    hits, ways, path = found.hits.copy(), found.directions.copy(), found.optical_path.copy()
+    names = ("hits", "directions", "optical_path", "fate", "surface", "position", "direction")
+    changed = {name: getattr(found, name).copy() for name in names}
+    hits, ways = changed["hits"], changed["directions"]
     before = ways[number - 1] if number else rays.direction
     hits[number + 1 :, rows], ways[number:, rows] = hits[number, rows], before[rows]
     for same, media in colours(layout, rays, rows):
         ends = np.stack([rays.position[same], *hits[: number + 1, same]])
-        path[same] = np.array(media[: number + 1]) @ np.linalg.norm(np.diff(ends, axis=0), axis=2)
-    fate, surface, position = found.fate.copy(), found.surface.copy(), found.position.copy()
-    fate[rows], surface[rows], position[rows] = Fate.VIGNETTED, number, hits[number, rows]
-    direction = found.direction.copy()
-    direction[rows] = before[rows]
-    return replace(
-        found,
-        fate=fate,
-        surface=surface,
-        position=position,
-        direction=direction,
-        optical_path=path,
-        hits=hits,
-        directions=ways,
-    )
+        changed["optical_path"][same] = np.array(media[: number + 1]) @ np.linalg.norm(
+            np.diff(ends, axis=0), axis=2
+        )
+    changed["fate"][rows], changed["surface"][rows] = Fate.VIGNETTED, number
+    changed["position"][rows], changed["direction"][rows] = hits[number, rows], before[rows]
+    return replace(found, **changed)
 
 
 def _enter(result: TraceResult, rows: Rows, own: TraceResult) -> None:
