@@ -118,9 +118,10 @@ class FreeNumbers:
 
 def _specs(curvature: list[list[float]], conic: list[list[float]], terms: Terms) -> tuple[FaceSpec, ...]:
     """Faces of these shapes."""
-    rows = zip(curvature, conic, *terms.values(), strict=True)
+    orders = (terms[order] for order in MONOMIALS)
     return tuple(
-        FaceSpec((radius_of(c[0]), radius_of(c[1])), (k[0], k[1]), *map(tuple, orders)) for c, k, *orders in rows
+        FaceSpec((radius_of(c[0]), radius_of(c[1])), (k[0], k[1]), tuple(a4), tuple(a6), tuple(a8))
+        for c, k, a4, a6, a8 in zip(curvature, conic, *orders, strict=True)
     )
 
 
