@@ -15,6 +15,7 @@ from math import inf
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.interactive import Tabular
+from clacad.base.text import shown
 from clacad.checks.check import (
     ALLOWANCE,
     Check,
@@ -166,6 +167,15 @@ def tight(check: Check) -> bool:
     ):
         return False
     return abs(check.value - check.limit) <= TIGHT * abs(check.limit)
+
+
+def fault(check: Check) -> str:
+    """Sentence on a failing check: its value, limit and where the limit comes from."""
+    value, limit, unit, _ = shown(check.value, check.limit, check.relation, check.unit, check.state)
+    return (
+        f"{check.id}: {value}, and the limit is {check.relation} {limit} {unit}".rstrip()
+        + f" ({check.source}); {check.sentence}"
+    )
 
 
 def judge(

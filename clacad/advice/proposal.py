@@ -12,15 +12,14 @@ from textwrap import wrap
 from typing import Any
 
 from clacad.advice.candidate import round_to
-from clacad.advice.judged import Judged
+from clacad.advice.judged import Judged, fault
 from clacad.advice.lens_shape import Work, least_of_one_material, reasons_for_white
 from clacad.advice.trade_offs import Trade, rows_of, sentences, trade_offs
 from clacad.advice.wish import KEYS, Wish, angle_text, read_wish, workable_material
 from clacad.advice.wish_search import Search, Tried, returned_share
 from clacad.base.interactive import shown_progress
-from clacad.base.text import percent_text, shown, table
+from clacad.base.text import percent_text, table
 from clacad.base.types import Progress
-from clacad.checks.check import Check
 from clacad.checks.light_kinds import FIELD, VIEWED
 from clacad.config.edit_text import to_toml
 from clacad.design import Design
@@ -196,15 +195,6 @@ def _excess(tried: Tried) -> float:
         abs(check.value - check.limit) / abs(check.limit) if check.limit else 1.0
         for check in tried.judged.failing
         if isinstance(check.value, float) and isinstance(check.limit, float)
-    )
-
-
-def fault(check: Check) -> str:
-    """Sentence on a failing check: its value, limit and where the limit comes from."""
-    value, limit, unit, _ = shown(check.value, check.limit, check.relation, check.unit, check.state)
-    return (
-        f"{check.id}: {value}, and the limit is {check.relation} {limit} {unit}".rstrip()
-        + f" ({check.source}); {check.sentence}"
     )
 
 

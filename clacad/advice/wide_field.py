@@ -22,8 +22,7 @@ from clacad.advice.candidate import (
     round_to,
     wanted_pitch,
 )
-from clacad.advice.judged import judge
-from clacad.advice.proposal import fault
+from clacad.advice.judged import fault, judge
 from clacad.advice.wish import Wish, angle_text, mrad_value, wavelength_text
 from clacad.advice.wish_search import Tried
 from clacad.base.text import mrad_text
@@ -131,11 +130,9 @@ class WideSearch:
     def _faults(self, one: Tried) -> str:
         """Failing checks with value and limit; the error where it alone is beyond the wish."""
         failing = [fault(check) for check in one.judged.failing]
-        if one.judged.measured(LAW_RMS) > self.limit:
-            failing.insert(
-                0,
-                f"{mrad_text(one.judged.measured(LAW_RMS))} over the field, {mrad_text(self.limit)} are wished",
-            )
+        rms = one.judged.measured(LAW_RMS)
+        if rms > self.limit:
+            failing.insert(0, f"{mrad_text(rms)} over the field, {mrad_text(self.limit)} are wished")
         return "; ".join(failing)
 
     def _hopeful(self) -> Iterator[tuple[str, Design]]:

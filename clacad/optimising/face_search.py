@@ -285,7 +285,7 @@ class FaceSearch:
             else ScanLight.of(aim.scan, window)
         )
         self.before = self.error_of(window)
-        self.kept_at_start = min((self.walls.slack(window) | self._of_scan(window)).values()) >= 0.0
+        self.kept_at_start = min((self.walls.slack(window) | _of_scan(self.target, window)).values()) >= 0.0
         self.evaluations = 0
         self.best: Best | None = None
         self.nearest = (-inf, "")
@@ -376,15 +376,11 @@ class FaceSearch:
             raise OutOfTime
         trial = self._trial(vector)
         light = self.target.residuals(trial)
-        slack, scan = self.walls.slack(trial), self._of_scan(trial)
+        slack, scan = self.walls.slack(trial), _of_scan(self.target, trial)
         self._note(vector, float(np.linalg.norm(light)), slack | scan)
         ties = TIE * self.unknowns.conics(vector)
         walls = np.concatenate([penalties(slack), penalties(scan, SCAN_MARGIN)])
         return np.concatenate([light, self.stiff * walls, ties])
-
-    def _of_scan(self, trial: Window) -> dict[str, float]:
-        """Slack of the walls of a scan, if one is searched."""
-        return self.target.slack(trial) if isinstance(self.target, ScanLight) else {}
 
     def best_design(self, free: tuple[str, ...]) -> Design:
         """Best result within the walls as a design that records its origin, checked as a design file is."""
@@ -457,3 +453,8 @@ class FaceSearch:
         self.best = Best(vector.copy(), rms, self.evaluations, told)
         if self.progress is not None:
             self.progress(self.evaluations, rms)
+
+
+def _of_scan(target: AimedRays | ScanLight, trial: Window) -> dict[str, float]:
+    """Slack of the walls of a scan, if one is searched."""
+    return target.slack(trial) if isinstance(target, ScanLight) else {}
