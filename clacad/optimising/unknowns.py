@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from math import comb, inf, sqrt
+from math import comb, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
