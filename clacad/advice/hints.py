@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import nan
 from typing import Any, Final
 
 from clacad.advice.judged import Judged, judge
@@ -86,13 +85,8 @@ def sharper(judged: Judged, trials: Trials) -> Sharper | None:
         return None
     if after is None or len(after.failing) > len(judged.failing):
         return None
-    before, least = _law_rms(judged), _law_rms(after)
-    return Sharper(CHANGES, before, least) if least <= WORTH * before else None
-
-
-def _law_rms(judged: Judged) -> float:
-    """Rms error to the law (radians); NaN where there is too little light."""
-    return next((c.value for c in judged.checks if c.kind is LAW_RMS and isinstance(c.value, float)), nan)
+    before, least = (one.measured(LAW_RMS) for one in (judged, after))
+    return Sharper(CHANGES, before, least) if least < WORTH * before else None
 
 
 TRIALS = 60

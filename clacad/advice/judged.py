@@ -11,10 +11,21 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from math import inf
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.interactive import Tabular
-from clacad.checks.check import ALLOWANCE, Check, accepted, check_columns, passed, short_table, wrong
+from clacad.base.text import shown
+from clacad.checks.check import (
+    ALLOWANCE,
+    Check,
+    CheckKind,
+    accepted,
+    check_columns,
+    passed,
+    short_table,
+    wrong,
+)
 from clacad.design import Design
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, describe, feasibility
@@ -131,6 +142,11 @@ class Judged(Tabular):
             if c.state == "warn" and "accepted" not in c.detail and c.kind is not ALLOWANCE
         )
 
+    def measured(self, kind: CheckKind) -> float:
+        """Number that the check of a kind measured; infinite where it is missing or no number."""
+        found = next((check.value for check in self.checks if check.kind is kind), None)
+        return found if isinstance(found, float) else inf
+
     def verdict(self) -> str:
         """Forecast of the verdict of verify in one line."""
         if not self.passes:
@@ -151,6 +167,15 @@ def tight(check: Check) -> bool:
     ):
         return False
     return abs(check.value - check.limit) <= TIGHT * abs(check.limit)
+
+
+def fault(check: Check) -> str:
+    """Sentence on a failing check: its value, limit and where the limit comes from."""
+    value, limit, unit, _ = shown(check.value, check.limit, check.relation, check.unit, check.state)
+    return (
+        f"{check.id}: {value}, and the limit is {check.relation} {limit} {unit}".rstrip()
+        + f" ({check.source}); {check.sentence}"
+    )
 
 
 def judge(

@@ -154,10 +154,9 @@ def reasons_for_white(wish: Wish, judged: Judged) -> Iterator[str]:
     """Error of a wish for white light, what one material would leave, and what layers cost."""
     if wish.white is None:
         return
-    value = next(check.value for check in judged.checks if check.kind is LAW_WHITE)
     least = least_of_one_material(wish)
     yield (
-        f"white light: {mrad_text(float(value or 0.0), 3)} rms, mean of F, e, d and C, of"
+        f"white light: {mrad_text(judged.measured(LAW_WHITE), 3)} rms, mean of F, e, d and C, of"
         f" {mrad_text(wish.white, 3)}; one material ({wish.material}) leaves {mrad_text(least, 3)} or more,"
         " for any faces and any separation with this field"
     )

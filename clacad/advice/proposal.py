@@ -12,16 +12,15 @@ from textwrap import wrap
 from typing import Any
 
 from clacad.advice.candidate import round_to
-from clacad.advice.judged import Judged
+from clacad.advice.judged import Judged, fault
 from clacad.advice.lens_shape import Work, least_of_one_material, reasons_for_white
 from clacad.advice.trade_offs import Trade, rows_of, sentences, trade_offs
-from clacad.advice.wish import KEYS, Wish, read_wish, workable_material
+from clacad.advice.wish import KEYS, Wish, angle_text, read_wish, workable_material
 from clacad.advice.wish_search import Search, Tried, returned_share
 from clacad.base.interactive import shown_progress
-from clacad.base.text import percent_text, shown, table
+from clacad.base.text import percent_text, table
 from clacad.base.types import Progress
-from clacad.checks.check import Check
-from clacad.checks.light_kinds import VIEWED
+from clacad.checks.light_kinds import FIELD, VIEWED
 from clacad.config.edit_text import to_toml
 from clacad.design import Design
 from clacad.design.body import Outline
@@ -61,7 +60,7 @@ def binding(search: Search) -> Iterator[str]:
             f" {best.separation:g} mm):"
         )
         checks = best.judged.failing or best.judged.tight
-        yield from (f"    {_fault(check)}" for check in checks)
+        yield from (f"    {fault(check)}" for check in checks)
     yield from (f"  {reason}" for reason in list(dict.fromkeys(search.refused))[:REASONS])
 
 
@@ -199,14 +198,6 @@ def _excess(tried: Tried) -> float:
     )
 
 
-def _fault(check: Check) -> str:
-    value, limit, unit, _ = shown(check.value, check.limit, check.relation, check.unit, check.state)
-    return (
-        f"{check.id}: {value}, and the limit is {check.relation} {limit} {unit}".rstrip()
-        + f" ({check.source}); {check.sentence}"
-    )
-
-
 class NoSuchSheet(ValueError):
     """No tried design fulfils the wish; the message has the binding limits and similar wishes that can be."""
 
@@ -253,7 +244,7 @@ class Proposal:
         warnings = [f"warning {c.id}: {c.sentence}" for c in self.judged.warning]
         return (
             f"pitch {one.pitch.value:g} mm: {one.pitch.why}",
-            *not_met(self.wish, self.design),
+            *not_met(self.wish, self.judged),
             *(self.forms or self._of_recipe()),
             *warnings,
         )
@@ -277,8 +268,14 @@ class Proposal:
         return file_text(self.wish, self.judged, self.reasons, self.trades)
 
 
-def not_met(wish: Wish, design: Design) -> Iterator[str]:
-    """Sides of the sheet that differ from the wish because they are not a whole number of pitches."""
+def not_met(wish: Wish, judged: Judged) -> Iterator[str]:
+    """Parts of a wish that a design does not fulfil: its field where that is wider than the field of view,
+    of which verify only warns; sides that are not a whole number of pitches.
+    """
+    design = judged.design
+    for check in judged.warning:
+        if check.kind is FIELD and wish.field != KEYS["field"].default:
+            yield f"field: {angle_text(wish.field)} requested, light beyond the field of view leaves the law"
     if design.lattice.outline is not None:
         return
     cells = zip(("width", "height"), wish.size.size, design.lattice.count, design.lattice.pitch, strict=True)
@@ -291,11 +288,10 @@ def _for_the_eye(found: Proposal) -> Iterator[str]:
     """Construction that serves a stated eye, and the share of its light that obeys the law."""
     if found.wish.viewing is None:
         return
-    share = next(check.value for check in found.judged.checks if check.kind is VIEWED)
     means = {"": "aligned cells alone", "field lens": "field lenses", "aimed": "cells aimed at the eye"}
     yield (
         f"viewer at {found.wish.viewing:g} mm: {means[found.chosen.variant.eye]} keep"
-        f" {percent_text(float(share or 0.0))} of its light on the law over the whole sheet"
+        f" {percent_text(found.judged.measured(VIEWED))} of its light on the law over the whole sheet"
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import atan, degrees, inf
+from math import atan, degrees
 
 from clacad.advice.candidate import MILLIMETRES, returning, round_to, sharpest_pitch
 from clacad.advice.judged import Judged, judge
@@ -82,7 +82,6 @@ def _row(name: str, wish: Wish, judged: Judged) -> Trade:
     to_mm = design.unit_m * MILLIMETRES
     pitch = min(design.lattice.pitch) * to_mm
     half = min(facts.half_field)
-    rms = next(check.value for check in judged.checks if check.kind is LAW_RMS)
     faults = list(dict.fromkeys(c.id for c in judged.failing)) or list(
         dict.fromkeys(c.id for c in judged.warning)
     )
@@ -92,7 +91,7 @@ def _row(name: str, wish: Wish, judged: Judged) -> Trade:
         pitch,
         facts.separation * to_mm,
         (max(b.high for b in facts.bodies) - min(b.low for b in facts.bodies)) * to_mm,
-        rms if isinstance(rms, float) else inf,
+        judged.measured(LAW_RMS),
         wish.wavelength * MILLIMETRES / (pitch * returning(wish)),
         pitch / wish.distance,
         atan(half),

@@ -152,7 +152,7 @@ class Search:
             if (
                 one is None
                 or not one.good
-                or _rms(one) > _sharp(self.wish, one.pitch.value)
+                or one.judged.measured(LAW_RMS) > _sharp(self.wish, one.pitch.value)
                 or _more(self.wish, one, found)
             ):
                 break
@@ -332,11 +332,6 @@ def avoidable(tried: Tried, wish: Wish) -> float:
     bodies = tried.judged.facts.bodies
     height = max(body.high for body in bodies) - min(body.low for body in bodies)
     return len(warnings) + 0.5 * (height > max(wish.size.size))
-
-
-def _rms(tried: Tried) -> float:
-    value = next(check.value for check in tried.judged.checks if check.kind is LAW_RMS)
-    return value if isinstance(value, float) else inf
 
 
 def _no_better(before: Tried, after: Tried) -> bool:

@@ -202,7 +202,7 @@ def _brief(found: Proposal, target: Path) -> Brief:
     rows = [
         ("requested", plain_words(found.wish)),
         ("design", ", ".join(made[1:])),
-        *(("not met", text) for text in not_met(found.wish, found.design)),
+        *(("not met", text) for text in not_met(found.wish, found.judged)),
     ]
     checks, word = found.judged.checks, "verify will pass"
     head = f"wrote {target}: {word} ({found.judgements} designs were built and judged)"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from clacad.base.text import mrad_text, percent_text, table
 from clacad.cli.brief import Brief, facts
@@ -19,13 +19,8 @@ if TYPE_CHECKING:
 
 TASK = "steer"
 
-KINDS: dict[str, Literal["csv", "png", "svg", "html"]] = {
-    ".csv": "csv",
-    ".png": "png",
-    ".svg": "svg",
-    ".html": "html",
-}
-"""Ending of a file → what is written."""
+KINDS = (".csv", ".png", ".svg", ".html")
+"""Endings of the files that are written."""
 
 SECONDS_A_RAY, SECONDS_OF_WAVES = 4e-6, 0.8
 """Processor seconds for each ray, and for the waves of a position, on the reference machine."""
@@ -59,8 +54,8 @@ class SteerBeam(OfDesign):
 
 def run(request: SteerBeam, console: Console) -> int:
     """Scan, print the positions, write the file."""
-    kind = None if request.out is None else KINDS.get(request.out.suffix.lower())
-    if request.out is not None and kind is None:
+    kind = None if request.out is None else request.out.suffix.lower()
+    if request.out is not None and kind not in KINDS:
         raise BadOption(f"-o {request.out}: the name ends in {', '.join(KINDS)}")
     design = load_counted(request.design, request.set)
     travel = parse_travel("--travel", request.travel, design.unit)
@@ -92,16 +87,29 @@ def run(request: SteerBeam, console: Console) -> int:
     return 0
 
 
-def _content(design: Design, found: Steered, kind: Literal["csv", "png", "svg", "html"]) -> str | bytes:
+def _content(design: Design, found: Steered, kind: str) -> str | bytes:
     """Content of the requested file."""
     from clacad.report.scan_files import csv_text, page, picture
 
-    if kind == "html":
+    if kind == ".html":
         return page(design, found)
-    return csv_text(found) if kind == "csv" else picture(found, kind)
+    return csv_text(found) if kind == ".csv" else picture(found, "png" if kind == ".png" else "svg")
 
 
 HEAD = ("travel", "slope x, y", "paraxial", "spread", "share", "beam", "order", "efficiency", "on order")
+
+
+FOCUS = ("travel", "convergence 1/m", *HEAD[3:6])
+"""Columns of a travel along the normal, which steers no beam."""
+
+
+def _rows(found: Steered) -> list[tuple[str, ...]]:
+    """Head and one row for each position."""
+    if found.axis == "z":
+        cells = [_row(one) for one in found.positions]
+        powers = [f"{one.power:.4g}" for one in found.positions]
+        return [FOCUS, *((row[0], power, *row[3:6]) for row, power in zip(cells, powers, strict=True))]
+    return [HEAD, *map(_row, found.positions)]
 
 
 def _row(one: Position) -> tuple[str, ...]:
@@ -125,15 +133,25 @@ def _row(one: Position) -> tuple[str, ...]:
 
 def _verdict(found: Steered) -> str:
     """Reach, spread and share of the whole scan."""
-    ends = sorted(one.slopes[found.along] for one in (found.positions[0], found.positions[-1]))
+    both = (found.positions[0], found.positions[-1])
+    if found.axis == "z":
+        low, high = sorted(one.power for one in both)
+        reach = f"convergence {low:.4g} to {high:.4g} 1/m"
+    else:
+        low, high = sorted(1e3 * one.slopes[found.along] for one in both)
+        reach = f"exit slopes {low:.4g} to {high:.4g} mrad"
     return (
-        f"{found.name}: exit slopes {1e3 * ends[0]:.4g} to {1e3 * ends[1]:.4g} mrad, spread up to "
-        f"{mrad_text(found.worst_spread)}, share at least {percent_text(found.least_share)}"
+        f"{found.name}: {reach}, spread up to {mrad_text(found.worst_spread)}, share at least"
+        f" {percent_text(found.least_share)}"
     )
 
 
 def _notes(found: Steered) -> list[tuple[str, str]]:
-    """Linearity, cross-talk and orders."""
+    """Linearity, cross-talk and orders; of a travel along the normal, its change of convergence."""
+    if found.axis == "z":
+        first, last = found.positions[0], found.positions[-1]
+        rate = (last.power - first.power) / (last.travel - first.travel)
+        return [("focus", f"the convergence changes by {rate:.4g} 1/m in 1 {found.unit}"), *_wobble(found)]
     terms = ", ".join(f"{value:.4g}" for value in found.odd_terms)
     steps = mrad_text(found.order_step[found.along])
     return [
@@ -173,16 +191,13 @@ def _text(found: Steered) -> str:
         for one in found.positions
         if len(one.orders) > 1
     ]
-    focus = [f"  convergence at {one.travel:.4g}: {one.power:.4g} 1/m" for one in found.positions]
     notes = table([(f"  {name}", text) for name, text in _notes(found)], "")
-    rows = table([HEAD, *map(_row, found.positions)])
-    return "\n".join([rows, *stray, *focus, notes, _verdict(found)])
+    return "\n".join([table(_rows(found)), *stray, notes, _verdict(found)])
 
 
 def _brief(found: Steered) -> Brief:
     """Verdict, positions, linearity and orders."""
-    rows = [HEAD, *map(_row, found.positions)]
-    return Brief(_verdict(found), (facts(rows), facts(_notes(found))))
+    return Brief(_verdict(found), (facts(_rows(found)), facts(_notes(found))))
 
 
 COMMANDS = (Command("steer", "look", SteerBeam, run),)

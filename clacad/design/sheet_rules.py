@@ -88,7 +88,7 @@ def seam_leaves_a_lens(a: Asked) -> Iterator[Mistake]:
 
 
 def line_leaves_a_lens(a: Asked) -> Iterator[Mistake]:
-    """An opaque line must be narrower than the cell and lie on a face of identical cells."""
+    """An opaque line must be narrower than the cell and lie on a face."""
     line, pitch = a(LATTICE.line), a(LATTICE.pitch)
     if line is None:
         return

@@ -8,16 +8,16 @@ and tilt of an array are evaluated at the cell farthest from the centre, where t
 errors affect all cells equally. Start and end are compared over independent rays, not those of the search.
 
 Light must stay in the cells of lens 2: rays that miss their partner's cell do not count in the error, and
-an unconstrained search would lose light to reduce it. `ShareOfLight` constrains the cones over which start
-and end are compared. `LightInCells` constrains the full field of a sheet with a field lens, where a weaker
-field lens looks sharper.
+an unconstrained search would lose light to reduce it. `LightInCells` constrains the cones over which start
+and end are compared, and the full field of a sheet with a field lens, where a weaker field lens looks
+sharper.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from math import atan, degrees, isfinite, sqrt
+from math import atan, degrees, isfinite, nan, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -303,72 +303,50 @@ BORDER = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class ShareOfLight:
-    """Cones of rays over one cell, and the share of each in the cell of lens 2 at the start of the search.
+class LightInCells:
+    """Cones of rays over one cell, and how they lie in their cells at the start of the search.
 
-    before : (c,). Share of each cone.
+    before : (c,). Share of each cone in the cell of lens 2.
+    full : Rays of the full field of a sheet with a field lens; None: the last cone, of listed faces.
+    beyond : Mean distance of these rays outside the border of lens 2's cell, in half widths; of listed faces
+        outside `INSIDE` of the cells of all faces; NaN of other forms.
     """
 
     cones: tuple[Rays, ...]
+    full: Rays | None
     before: Floats
+    beyond: float
 
     @staticmethod
-    def of(window: Window, fields: Sequence[float], centre: str) -> ShareOfLight:
+    def of(window: Window, fields: Sequence[float], centre: str) -> LightInCells:
         """Constraint from the start window; half angles of cones (radians) about the `centre` of checks."""
         one = window.with_cells((1, 1))
         cones = tuple(bundle(one, CELL_RAYS, field, centre).rays for field in fields)
-        return ShareOfLight(cones, _shares(window, cones))
+        full = None
+        if window.form != "plates" and window.field_array:
+            full = bundle(one, CELL_RAYS, atan(PART * min(half_field(thin_cells(window))))).rays
+        return LightInCells(cones, full, *_in_cells(window, cones, full))
 
-    def slack(self, window: Window) -> float:
-        """Least share that a cone may still lose, over `SHARE_ROOM`; below 0: violated."""
-        return 1.0 - float((self.before - _shares(window, self.cones)).max()) / SHARE_ROOM
-
-
-def _shares(window: Window, cones: Sequence[Rays]) -> Floats:
-    """Share (c,) of the rays of each cone that land in the cell of lens 2."""
-    rays = Rays(np.concatenate([c.position for c in cones]), np.concatenate([c.direction for c in cones]))
-    inside = np.clip(0.5 - _outside(window, rays) / BORDER, 0.0, 1.0)
-    return np.asarray(inside.reshape(len(cones), -1).mean(axis=1))
-
-
-@dataclass(frozen=True, eq=False)
-class LightInCells:
-    """Rays of the full field, and their distance outside their cells at the start of the search.
-
-    before : Mean distance outside the border of lens 2's cell, in half widths; of listed faces outside
-        `INSIDE` of the cells of all faces.
-    inside : float
-    """
-
-    rays: Rays
-    before: float
-    inside: float = 1.0
-
-    @staticmethod
-    def of(window: Window, field: float = 0.0) -> LightInCells | None:
-        """Constraint from the start window; None without a field lens. field : radians, of listed faces."""
-        one = window.with_cells((1, 1))
-        if window.form == "plates":
-            rays = bundle(one, CELL_RAYS, field).rays
-            return LightInCells(rays, _beyond(window, rays, INSIDE), INSIDE)
-        if not window.field_array:
-            return None
-        rays = bundle(one, CELL_RAYS, atan(PART * min(half_field(thin_cells(window))))).rays
-        return LightInCells(rays, _beyond(window, rays))
-
-    def slack(self, window: Window) -> float:
-        """Remaining increase of the mean distance outside the cell, over `ROOM`; below 0: violated."""
-        return (self.before + ROOM - _beyond(window, self.rays, self.inside)) / ROOM
+    def slack(self, window: Window) -> dict[str, float]:
+        """Least share that a cone may still lose, over `SHARE_ROOM`, and remaining increase of the mean
+        distance outside, over `ROOM`; below 0: violated.
+        """
+        shares, beyond = _in_cells(window, self.cones, self.full)
+        found = {"share of light": 1.0 - float((self.before - shares).max()) / SHARE_ROOM}
+        if isfinite(self.beyond):
+            found["light in its cells"] = (self.beyond + ROOM - beyond) / ROOM
+        return found
 
 
-def _beyond(window: Window, rays: Rays, inside: float = 1.0) -> float:
-    """Mean distance (half widths of a cell) of rays outside a part of the cells."""
-    return float(np.clip(_outside(window, rays, inside), 0.0, LOST).mean())
-
-
-def _outside(window: Window, rays: Rays, inside: float = 1.0) -> Floats:
-    """Distance (n,) of rays from the border of their cells, as `way_out`."""
-    return way_out(window, trace_sequence(interfaces(window), rays, record=True), inside)
+def _in_cells(window: Window, cones: Sequence[Rays], full: Rays | None) -> tuple[Floats, float]:
+    """Share (c,) of the rays of each cone in the cell of lens 2, and mean distance of rays outside."""
+    every = [*cones, *([] if full is None else [full])]
+    rays = Rays(np.concatenate([c.position for c in every]), np.concatenate([c.direction for c in every]))
+    out = way_out(window, trace_sequence(interfaces(window), rays, record=True)).reshape(len(every), -1)
+    shares = np.clip(0.5 - out[: len(cones)] / BORDER, 0.0, 1.0).mean(axis=1)
+    listed = window.form == "plates"
+    beyond = np.clip(out[-1] + (1.0 - INSIDE if listed else 0.0), 0.0, LOST).mean()
+    return np.asarray(shares), float(beyond) if listed or full is not None else nan
 
 
 def way_out(window: Window, seen: TraceResult, inside: float = 1.0) -> Floats:

@@ -26,7 +26,7 @@ from clacad.design.process_profiles import profile
 from clacad.design.sections import PAIR
 from clacad.optics.fit import minimise
 from clacad.optics.surface import Surface
-from clacad.optimising.aim import RAYS, Aim, AimedRays, LightInCells, ShareOfLight, fields_of
+from clacad.optimising.aim import RAYS, Aim, AimedRays, LightInCells, fields_of
 from clacad.optimising.scan_light import SCAN_MARGIN, ScanLight
 from clacad.optimising.unknowns import (
     ListedUnknowns,
@@ -73,8 +73,7 @@ class Walls:
     normal_z : Least z component of a normal.
     radius, sag : lengths. Least radius and greatest height; 0 and infinite without one.
     thickness : (b,) lengths. Least allowed thickness of each body in its cell.
-    share : Constraint on the light of the comparison cones that misses its cell.
-    light : With a field lens: constraint on the light of the full field that misses its cell.
+    light : Constraint on the light that misses its cell; None of a scan, which holds its own share.
     path : length. B of listed faces at the start, which is kept; 0: of another form.
     gaps : length. Least air between listed plates: a neck, or that of the start where it has less.
     """
@@ -85,8 +84,7 @@ class Walls:
     radius: float
     sag: float
     thickness: tuple[float, ...]
-    share: ShareOfLight
-    light: LightInCells | None = None
+    light: LightInCells | None
     path: float = 0.0
     gaps: float = 0.0
 
@@ -114,8 +112,7 @@ class Walls:
             radius,
             sag,
             needs,
-            ShareOfLight.of(window, [part * cone for part in fields_of(window)], design.check.field_centre),
-            LightInCells.of(window, cone),
+            LightInCells.of(window, [part * cone for part in fields_of(window)], design.check.field_centre),
             _b_of(window) if window.form == "plates" else 0.0,
             min(neck, (1.0 - 2.0 * MARGIN) * min(_gaps(window, x, y), default=inf)),
         )
@@ -135,9 +132,8 @@ class Walls:
             if need > 0.0:
                 thinnest = _least_apart(body, *heights)
                 found[f"thickness of {body.name}"] = thinnest / need - 1.0 if isfinite(thinnest) else LOST
-        found["share of light"] = self.share.slack(window)
         if self.light is not None:
-            found["light in its cells"] = self.light.slack(window)
+            found |= self.light.slack(window)
         if self.path:
             found["B of the faces"] = 1.0 - abs(_b_of(window) / self.path - 1.0) / KEPT_PATH
         if isfinite(self.gaps):
@@ -220,7 +216,7 @@ WORTH = 0.9
 """Largest share of the error that may remain for terms of sixth or eighth order to be kept."""
 
 HIGHER = ("a6", "a8")
-"""Orders that are tried last, in sequence."""
+"""Orders that are tried last, in sequence, where faces are not listed."""
 
 LEAST_GAIN = 1e-3
 """Least reduction of the error, as a share of the start's error, for faces to be written."""
@@ -289,11 +285,13 @@ class FaceSearch:
             else ScanLight.of(aim.scan, window)
         )
         self.before = self.error_of(window)
+        self.kept_at_start = min((self.walls.slack(window) | _of_scan(self.target, window)).values()) >= 0.0
         self.evaluations = 0
         self.best: Best | None = None
         self.nearest = (-inf, "")
         self.sharpest_beyond = (inf, "")
-        self.kept: tuple[str, ...] = ()
+        # listed faces of several plates gain from all orders together, where each alone gives little
+        self.kept: tuple[str, ...] = HIGHER if window.form == "plates" else ()
         follows = design.pair.offset == "traced" or any(face.land is not None for face in window.faces)
         self.quick = unknowns.still and not follows
         self.stiff = 1.0
@@ -340,7 +338,7 @@ class FaceSearch:
     def _lower_orders(self, here: Floats) -> Floats:
         """Search terms of fourth order before conic constants: being alike, both together diverge."""
         kinds = np.array([one.kind for one in self.unknowns.free])
-        now = ~np.isin(kinds, HIGHER)
+        now = ~np.isin(kinds, self.left_out)
         if self.walls.path:  # listed faces
             self.stiff = SOFT
             here = self._among(here, now)
@@ -378,8 +376,7 @@ class FaceSearch:
             raise OutOfTime
         trial = self._trial(vector)
         light = self.target.residuals(trial)
-        slack = self.walls.slack(trial)
-        scan = self.target.slack(trial) if isinstance(self.target, ScanLight) else {}
+        slack, scan = self.walls.slack(trial), _of_scan(self.target, trial)
         self._note(vector, float(np.linalg.norm(light)), slack | scan)
         ties = TIE * self.unknowns.conics(vector)
         walls = np.concatenate([penalties(slack), penalties(scan, SCAN_MARGIN)])
@@ -427,8 +424,10 @@ class FaceSearch:
 
     @property
     def gained(self) -> bool:
-        """Whether the best within the walls is worth writing."""
-        return self.best is not None and self.best.rms <= (1.0 - LEAST_GAIN) * self.before
+        """Whether the best within the walls is worth writing: better than the start, or that broke a wall."""
+        if self.best is None:
+            return False
+        return not self.kept_at_start or self.best.rms <= (1.0 - LEAST_GAIN) * self.before
 
     def _trial(self, vector: Floats) -> Window:
         faces, offset = self.unknowns.faces(vector)
@@ -454,3 +453,8 @@ class FaceSearch:
         self.best = Best(vector.copy(), rms, self.evaluations, told)
         if self.progress is not None:
             self.progress(self.evaluations, rms)
+
+
+def _of_scan(target: AimedRays | ScanLight, trial: Window) -> dict[str, float]:
+    """Slack of the walls of a scan, if one is searched."""
+    return target.slack(trial) if isinstance(target, ScanLight) else {}

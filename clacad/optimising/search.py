@@ -232,12 +232,8 @@ def optimise(
     >>> better.design.pair.prescription
     'given'
     """
-    design = as_listed(design)
-    window = equal_cells(prescribe(design), "a search for better faces", ALIKE)
-    unknowns = _chosen(design, window, tuple(free))
-    scan = field if isinstance(field, Scan) else None
-    cone = field if isinstance(field, float) else design.check.field
-    aim = _aim(design, window, Aim(cone, tuple(weights), tolerances, lines_of_search(design, spectrum), scan))
+    design, window, unknowns, aim = _set_up(design, free, field, weights, tolerances, spectrum)
+    scan = aim.scan
     effort = seconds if isinstance(seconds, Effort) else Effort(seconds)
     search = FaceSearch(design, window, unknowns, aim, progress or _shown(), effort)
     before = _compared(design, window, aim)
@@ -252,7 +248,25 @@ def optimise(
     )
 
 
-def _aim(design: Design, window: Window, aim: Aim) -> Aim:
+def _set_up(
+    design: Design,
+    free: Sequence[str],
+    field: float | Scan | None,
+    weights: Weights,
+    tolerances: bool,
+    spectrum: str | None,
+) -> tuple[Design, Window, Unknowns | ListedUnknowns, Aim]:
+    """Design as searched, its window, the unknowns that words name and the objective."""
+    design = as_listed(design)
+    window = equal_cells(prescribe(design), "a search for better faces", ALIKE)
+    listed, words = window.form == "plates", tuple(free)
+    unknowns = listed_unknowns(design, window, words) if listed else chosen(window, words)
+    cone = field if isinstance(field, float) else design.check.field
+    scan, lines = field if isinstance(field, Scan) else None, lines_of_search(design, spectrum)
+    return design, window, unknowns, _aim(window, Aim(cone, tuple(weights), tolerances, lines, scan))
+
+
+def _aim(window: Window, aim: Aim) -> Aim:
     """The objective, refused where a scan goes with what it does not have.
 
     Raises DesignError.
@@ -283,13 +297,6 @@ def _scanned(design: Design, scan: Scan) -> Steered:
     return steer(
         design, scan.travel, scan.axis, scan.move, positions=scan.positions, waves=False, progress=silent
     )
-
-
-def _chosen(design: Design, window: Window, free: tuple[str, ...]) -> Unknowns | ListedUnknowns:
-    """Unknowns that words name, of a pair or a list of faces."""
-    if window.form == "plates":
-        return listed_unknowns(design, window, free)
-    return chosen(window, free)
 
 
 def lines_of_search(design: Design, spectrum: str | None) -> Weights:
@@ -358,11 +365,7 @@ def outlook(
     DesignError, NoTolerances
         As `optimise` of the same words.
     """
-    design = as_listed(design)
-    window = equal_cells(prescribe(design), "a search for better faces", ALIKE)
-    lines = lines_of_search(design, spectrum)
-    aim = _aim(design, window, Aim(design.check.field, tuple(weights), tolerances, lines, scan))
-    unknowns = _chosen(design, window, tuple(free))
+    design, window, unknowns, aim = _set_up(design, free, scan, weights, tolerances, spectrum)
     k = len(unknowns.free)
     evaluations = 10.0 + 0.8 * k * k  # measured: 16, 37, 34 and 379 of 4, 8, 10 and 20 unknowns
     each = (0.005 if unknowns.still else 0.02) * (1.5 if "a4" in free else 1.0) * len(weights)

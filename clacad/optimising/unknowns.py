@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from math import comb, inf, sqrt
-from typing import TYPE_CHECKING
+from math import comb, sqrt
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,6 +41,12 @@ NEVER = {
 
 CONICS = 10.0
 
+BOTH = -1
+"""Part of an unknown of both meridians of a round face."""
+
+Terms = dict[str, list[list[Any]]]
+"""Coefficients of each order, of every face."""
+
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
@@ -55,23 +61,17 @@ class Unknown:
 
 
 @dataclass(frozen=True, eq=False)
-class Unknowns:
-    """Free numbers of the faces.
+class FreeNumbers:
+    """Free numbers of faces.
 
     start : All faces in the order of the light, at the start of the search.
-    offset : (2,) lengths or None
-        Offset of lens 2, free or fixed at its start value; None: it is 0 and fixed.
+    free : The unknowns.
     half : Half a cell, length.
-    still : Whether lens 2 keeps its position: its offset is not free.
-    ellipsoids : Conic constants follow from the radii: κ = √(c_x c_y).
     """
 
     start: tuple[FaceSpec, ...]
-    offset: tuple[float, float] | None
     free: tuple[Unknown, ...]
     half: float
-    still: bool
-    ellipsoids: bool
 
     @property
     def vector(self) -> Floats:
@@ -82,43 +82,81 @@ class Unknowns:
         """Conic constants among the unknowns (k,)."""
         return np.array([CONICS * v for one, v in zip(self.free, vector, strict=True) if one.kind == "K"])
 
+    def _read(self, one: Unknown) -> float:
+        """An unknown of a face at the start."""
+        face, part = self.start[one.faces[0]], max(one.part, 0)
+        if one.kind == "c":
+            return face.curvature[part] * self.half
+        if one.kind == "K":
+            return face.conic[part] / CONICS
+        return float(getattr(face, one.kind)[part]) * slope_of(one.kind, self.half)
+
+    def _shapes(
+        self, vector: Floats, image_sign: float
+    ) -> tuple[list[list[float]], list[list[float]], Terms]:
+        """Curvatures, conic constants and terms of each order of the faces for unknowns (k,).
+
+        image_sign : Sign of curvatures and terms of all but the first of the faces that share an unknown.
+        """
+        curvature, conic = ([list(getattr(f, name)) for f in self.start] for name in ("curvature", "conic"))
+        terms = {order: [list(getattr(face, order)) for face in self.start] for order in MONOMIALS}
+        for one, value in zip(self.free, vector.tolist(), strict=True):
+            for image, k in enumerate(one.faces):
+                size = image_sign * value if image else value
+                if one.kind == "c":
+                    row, size = curvature[k], size / self.half
+                elif one.kind == "K":
+                    row, size = conic[k], value * CONICS
+                elif one.kind in MONOMIALS:
+                    row, size = terms[one.kind][k], size / slope_of(one.kind, self.half)
+                else:
+                    continue
+                for part in range(len(row)) if one.part == BOTH else (one.part,):
+                    row[part] = size * (comb(len(row) - 1, part) if one.part == BOTH else 1)
+        return curvature, conic, terms
+
+
+def _specs(curvature: list[list[float]], conic: list[list[float]], terms: Terms) -> tuple[FaceSpec, ...]:
+    """Faces of these shapes."""
+    orders = (terms[order] for order in MONOMIALS)
+    return tuple(
+        FaceSpec((radius_of(c[0]), radius_of(c[1])), (k[0], k[1]), tuple(a4), tuple(a6), tuple(a8))
+        for c, k, a4, a6, a8 in zip(curvature, conic, *orders, strict=True)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns(FreeNumbers):
+    """Free numbers of the faces of a pair.
+
+    offset : (2,) lengths or None
+        Offset of lens 2, free or fixed at its start value; None: it is 0 and fixed.
+    still : Whether lens 2 keeps its position: its offset is not free.
+    ellipsoids : Conic constants follow from the radii: κ = √(c_x c_y).
+    """
+
+    offset: tuple[float, float] | None
+    still: bool
+    ellipsoids: bool
+
     def faces(self, vector: Floats) -> tuple[tuple[FaceSpec, ...], tuple[float, float] | None]:
         """Faces, and the offset of lens 2, for unknowns (k,)."""
-        curvature = [list(face.curvature) for face in self.start]
-        conic = [list(face.conic) for face in self.start]
-        terms = {order: [list(getattr(face, order)) for face in self.start] for order in MONOMIALS}
+        curvature, conic, terms = self._shapes(vector, 1.0)
         offset = None if self.offset is None else list(self.offset)
         for one, value in zip(self.free, vector.tolist(), strict=True):
             if one.kind == "d":
                 assert offset is not None
                 offset[one.part] = value * self.half
-            for k in one.faces:
-                if one.kind == "c":
-                    curvature[k][one.part] = value / self.half
-                elif one.kind == "K":
-                    conic[k][one.part] = value * CONICS
-                else:
-                    terms[one.kind][k][one.part] = value / slope_of(one.kind, self.half)
         if self.ellipsoids:
             conic = [_ellipsoid(c, k) for c, k in zip(curvature, conic, strict=True)]
-        made = tuple(
-            FaceSpec((radius_of(c[0]), radius_of(c[1])), (k[0], k[1]), a4, a6, a8)
-            for c, k, a4, a6, a8 in zip(
-                curvature, conic, *(map(tuple, rows) for rows in terms.values()), strict=True
-            )
-        )
+        made = _specs(curvature, conic, terms)
         return made, None if offset is None else (offset[0], offset[1])
 
     def _read(self, one: Unknown) -> float:
         if one.kind == "d":
             assert self.offset is not None
             return self.offset[one.part] / self.half
-        face = self.start[one.faces[0]]
-        if one.kind == "c":
-            return face.curvature[one.part] * self.half
-        if one.kind == "K":
-            return face.conic[one.part] / CONICS
-        return float(getattr(face, one.kind)[one.part]) * slope_of(one.kind, self.half)
+        return super()._read(one)
 
 
 def slope_of(order: str, half: float) -> float:
@@ -166,7 +204,7 @@ def chosen(window: Window, words: tuple[str, ...]) -> Unknowns:
     # separation
     offset = None if still and d[0] == d[1] == 0.0 else (float(d[0]), float(d[1]))
     free += [] if still else [Unknown("d", (), i) for i in (0, 1)]
-    return Unknowns(faces, offset, tuple(free), half, still, ellipsoids)
+    return Unknowns(faces, tuple(free), half, offset, still, ellipsoids)
 
 
 def _groups(window: Window, lenses: list[int], *, bent: bool) -> list[tuple[int, ...]]:
@@ -316,75 +354,35 @@ LISTED_NEVER = {
     "separation": "the distances of a list are its thickness",
 }
 
-BOTH = -1
-"""Part of an unknown of both meridians."""
-
 SAME = 1e-6
 """Relative difference below which numbers of a list count as equal."""
 
 
 @dataclass(frozen=True, eq=False)
-class ListedUnknowns:
-    """Free numbers of listed faces.
+class ListedUnknowns(FreeNumbers):
+    """Free numbers of listed faces, each with its place; an unknown "t" is the distance behind a face."""
 
-    start : Faces at the start of the search, each with its place.
-    free : Of kind "c", "K", "a4", "a6", "a8", or "t": the distance behind a face.
-    half : Half a cell, length.
-    """
-
-    start: tuple[FaceSpec, ...]
-    free: tuple[Unknown, ...]
-    half: float
     still: bool = True
-
-    @property
-    def vector(self) -> Floats:
-        """Unknowns (k,) at the start of the search."""
-        return np.array([self._read(one) for one in self.free])
-
-    def conics(self, vector: Floats) -> Floats:
-        """Conic constants among the unknowns (k,)."""
-        return np.array([CONICS * v for one, v in zip(self.free, vector, strict=True) if one.kind == "K"])
 
     def faces(self, vector: Floats) -> tuple[tuple[FaceSpec, ...], None]:
         """Faces for unknowns (k,); array 2 keeps its place."""
-        curvature = [list(face.curvature) for face in self.start]
-        conic = [list(face.conic) for face in self.start]
-        terms = {order: [list(getattr(face, order)) for face in self.start] for order in MONOMIALS}
         gaps = np.diff(vertices_of(self.start)).tolist()
         for one, value in zip(self.free, vector.tolist(), strict=True):
-            for image, k in enumerate(one.faces):
-                sign = -1.0 if image else 1.0
-                if one.kind == "t":
-                    gaps[k] = 2.0 * self.half * value
-                elif one.kind in MONOMIALS:
-                    size = sign * value / slope_of(one.kind, self.half)
-                    row = terms[one.kind][k]
-                    parts = range(len(row)) if one.part == BOTH else (one.part,)
-                    for part in parts:
-                        row[part] = size * (comb(len(row) - 1, part) if one.part == BOTH else 1)
-                else:
-                    size = sign * value / self.half if one.kind == "c" else value * CONICS
-                    for part in (0, 1) if one.part == BOTH else (one.part,):
-                        (curvature if one.kind == "c" else conic)[k][part] = size
+            for k in one.faces if one.kind == "t" else ():
+                gaps[k] = 2.0 * self.half * value
         places = np.concatenate([[0.0], np.cumsum(gaps)]).tolist()
-        made = []
-        for k, face in enumerate(self.start):
-            radius = [1.0 / c if c else inf for c in curvature[k]]
-            a4, a6, a8 = (tuple(rows[k]) for rows in terms.values())
-            shape = FaceSpec((radius[0], radius[1]), (conic[k][0], conic[k][1]), a4, a6, a8)
-            made.append(replace(shape, z=places[k] if k else None, array=face.array, behind=face.behind))
+        made = [
+            replace(shape, z=places[k] if k else None, array=face.array, behind=face.behind)
+            for k, (shape, face) in enumerate(
+                zip(_specs(*self._shapes(vector, -1.0)), self.start, strict=True)
+            )
+        ]
         return tuple(made), None
 
     def _read(self, one: Unknown) -> float:
-        face, part = self.start[one.faces[0]], max(one.part, 0)
         if one.kind == "t":
             return float(np.diff(vertices_of(self.start))[one.faces[0]]) / (2.0 * self.half)
-        if one.kind == "c":
-            return face.curvature[part] * self.half
-        if one.kind == "K":
-            return face.conic[part] / CONICS
-        return float(getattr(face, one.kind)[part]) * slope_of(one.kind, self.half)
+        return super()._read(one)
 
 
 def listed_unknowns(design: Design, window: Window, words: tuple[str, ...]) -> ListedUnknowns:

@@ -68,16 +68,16 @@ def assemble_window(
 def with_line(window: Window, design: Design) -> Window:
     """The window with the opaque line of its design, if it has one.
 
-    Raises DesignError: The face is none of a uniform sheet's lens faces between air and a material.
+    Raises DesignError: The face carries no lenses.
     """
     line = design.lattice.line
     if line is None:
         return window
     printable = {}
-    for number, (body, face, before, after) in enumerate(refractions(window.bodies), start=1):
-        if face.array is not None and 1.0 in (before, after):
+    for number, (body, face, _, _) in enumerate(refractions(window.bodies), start=1):
+        if face.array is not None:
             printable[number] = 2 * window.bodies.index(body) + (face is body.back)
-    if not window.uniform or line.face not in printable:
+    if line.face not in printable:
         raise DesignError(
             [
                 Mistake(
@@ -85,8 +85,7 @@ def with_line(window: Window, design: Design) -> Window:
                     f"no line can be printed on face {line.face} of this sheet",
                     LATTICE.line,
                     found=str(line.face),
-                    allowed="of identical cells a face with lenses next to air: "
-                    + ", ".join(map(str, printable)),
+                    allowed="a face with lenses: " + ", ".join(map(str, printable)),
                 )
             ]
         )

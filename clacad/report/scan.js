@@ -15,6 +15,7 @@
     drawing.appendChild(made);
   };
   const number = (value, digits) => value === null ? "not computed" : value.toPrecision(digits);
+  const thousandths = (value) => value === null ? "no light" : (1e3 * value).toFixed(3);
   function show() {
     const k = Number(slider.value), position = scan.positions[k], section = scan.sections[k];
     drawing.replaceChildren();
@@ -26,9 +27,9 @@
     section.rays.forEach((ray, n) => add(path(ray), section.wanted[n] ? "ray" : "ray stray"));
     const put = (name, text) => { document.getElementById(name).textContent = text; };
     put("travel", number(position.travel, 4) + " " + scan.unit);
-    put("slope", (1e3 * position.slope_x).toFixed(3) + ", " + (1e3 * position.slope_y).toFixed(3));
-    put("closed", (1e3 * position.closed_form_x).toFixed(3) + ", " + (1e3 * position.closed_form_y).toFixed(3));
-    put("spread", number(1e3 * position.spread, 4) + " mrad");
+    put("slope", thousandths(position.slope_x) + ", " + thousandths(position.slope_y));
+    put("closed", thousandths(position.closed_form_x) + ", " + thousandths(position.closed_form_y));
+    put("spread", position.spread === null ? "no light" : number(1e3 * position.spread, 4) + " mrad");
     put("share", number(100 * position.share, 4) + " %");
     put("beam", number(position.exit_beam_over_pitch, 4));
     put("power", number(position.power, 4) + " 1/m");

@@ -17,7 +17,7 @@ from clacad.prescription.prescribe import prescribe
 from clacad.sheet.face_order import plates_of
 from clacad.sheet.moved_plates import moved_plates
 from clacad.sheet.window import Face, Window, face_height
-from clacad.steering.scan import AXES, Steered
+from clacad.steering.scan import Scan, Steered
 from clacad.tracing.trace import trace
 
 if TYPE_CHECKING:
@@ -61,33 +61,29 @@ def draw(figure: Figure, found: Steered) -> None:
     travel, slope = columns["travel"], columns["slope"]
     (steered, bent), (spread, light) = figure.subplots(2, 2, sharex=True)
     closed = columns[f"closed_form_{'xy'[found.along]}"]
-    steered.plot(travel, 1e3 * slope, "o-", color=RAYS, ms=3, lw=1.2, label="traced")
-    steered.plot(travel, 1e3 * closed, "--", color=PARAXIAL, lw=1.0, label="paraxial")
-    steered.set_ylabel("exit slope (1e-3)")
-    steered.legend(fontsize=8)
-    bent.plot(travel, 1e3 * (slope - closed), "o-", color=RAYS, ms=3, lw=1.2)
+    dots: dict[str, Any] = {"marker": "o", "ms": 3, "color": RAYS, "lw": 1.2}
+    dashed: dict[str, Any] = {"ls": "--", "color": PARAXIAL, "lw": 1.0}
+    if found.axis == "z":
+        steered.plot(travel, columns["power"], label="traced", **dots)
+        steered.set_ylabel("convergence (1/m)")
+    else:
+        steered.plot(travel, 1e3 * slope, label="traced", **dots)
+        steered.plot(travel, 1e3 * closed, label="paraxial", **dashed)
+        steered.set_ylabel("exit slope (1e-3)")
+    bent.plot(travel, 1e3 * (slope - closed), **dots)
     bent.set_ylabel("traced minus paraxial (1e-3)")
-    spread.plot(travel, 1e3 * columns["spread"], "o-", color=RAYS, ms=3, lw=1.2, label="rays")
-    half = 500.0 * found.order_step[found.along]
-    spread.axhline(half, color=PARAXIAL, lw=1.0, ls="--", label="half an order")
+    spread.plot(travel, 1e3 * columns["spread"], label="rays", **dots)
+    spread.axhline(500.0 * found.order_step[found.along], label="half an order", **dashed)
     spread.set_ylabel("rms spread (mrad)")
     spread.set_ylim(bottom=0.0)
-    spread.legend(fontsize=8)
-    light.plot(travel, columns["share"], "o-", color=RAYS, ms=3, lw=1.2, label="share, rays")
-    beam = columns["exit_beam_over_pitch"]
-    light.plot(travel, beam, "--", color=PARAXIAL, lw=1.0, label="exit beam / pitch")
-    if np.isfinite(columns["efficiency_on_order"]).any():
-        light.plot(
-            travel,
-            columns["efficiency_on_order"],
-            "s-",
-            color=WAVES,
-            ms=3,
-            lw=1.0,
-            label="efficiency, on order",
-        )
+    light.plot(travel, columns["share"], label="share, rays", **dots)
+    light.plot(travel, columns["exit_beam_over_pitch"], label="exit beam / pitch", **dashed)
+    waves = columns["efficiency_on_order"]
+    if np.isfinite(waves).any():
+        light.plot(travel, waves, label="efficiency, on order", **dots | {"marker": "s", "color": WAVES})
     light.set_ylim(0.0, 1.1)
-    light.legend(fontsize=8, loc="lower center")
+    for axes in (steered, spread, light):
+        axes.legend(fontsize=8)
     for axes in (spread, light):
         axes.set_xlabel(f"travel along {found.axis} ({found.unit})")
     figure.suptitle(no_formula(f"{found.name}: {moves_text(found)}"), fontsize=10)
@@ -137,11 +133,11 @@ def page(design: Design, found: Steered) -> str:
 
 def _sections(window: Window, found: Steered) -> list[dict[str, Any]]:
     """Faces and rays of each position in the plane of travel; lengths, [across, z] each."""
-    made = []
-    for one in found.positions:
-        there = {plate: one.travel * part * np.array(AXES[found.axis]) for plate, part in found.moves.items()}
-        made.append(_section(moved_plates(window, there).with_cells((9, 9)), found.along))
-    return made
+    scan, few = Scan(1.0, found.axis, found.moves), window.with_cells((9, 9))
+    return [
+        _section(moved_plates(few, scan.displacements(few, one.travel)), found.along)
+        for one in found.positions
+    ]
 
 
 def _section(window: Window, along: int) -> dict[str, Any]:

@@ -61,3 +61,22 @@ def outline_centre(window: Window, body: Body) -> tuple[float, float]:
     """Centre (x, y) of a body's outline, lengths: the sheet's, or that of the body's own array."""
     own = len(body.arrays) == 1 and not window.one_outline
     return window.shifts[body.arrays[0]] if own else (0.0, 0.0)
+
+
+def lined_face(window: Window) -> Face | None:
+    """The face with an opaque line."""
+    return None if window.land.lined < 0 else window.faces[window.land.lined]
+
+
+def lined_array(window: Window) -> int:
+    """The array along whose cells an opaque line runs; -1 without one."""
+    face = lined_face(window)
+    return -1 if face is None or face.array is None else face.array
+
+
+def lined_surfaces(window: Window) -> tuple[int, ...]:
+    """Numbers of the surfaces of a trace with an opaque line: two of a joint, which both bodies have."""
+    number = window.land.lined
+    joints = [2 * k for k, body in enumerate(window.bodies) if body.joined]
+    pairs = [(k - 1, k) for k in joints]
+    return next((pair for pair in pairs if number in pair), (number,) if number >= 0 else ())

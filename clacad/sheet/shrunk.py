@@ -106,7 +106,8 @@ def grown_window(window: Window, size: Three, apart: float | None = None) -> Win
         )
     if not kx == ky == kz and not all(face.untilted for face in window.faces):
         raise CannotShrink(f"{window.name}: tilted lenses take one shrinkage along x, y and z")
-    land = replace(window.land, seam=window.land.seam * kx, border=window.land.border * kx)
+    widths = {name: kx * getattr(window.land, name) for name in ("seam", "border", "line")}
+    land = replace(window.land, **widths)
     bodies = tuple(
         replace(body, front=_grown(body.front, size, apart), back=_grown(body.back, size, apart))
         for body in window.bodies

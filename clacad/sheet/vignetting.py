@@ -31,6 +31,7 @@ from clacad.base.polygons import clip, common_areas, polygon_area
 from clacad.base.types import Bools, Floats, Ints, Pair2
 from clacad.optics.aperture import equivalent_widths
 from clacad.sheet.cell_places import CellPlacement
+from clacad.sheet.face_order import lined_array
 from clacad.sheet.pattern import relocate
 from clacad.sheet.window import ThinPair, Window, optical_tile
 
@@ -100,11 +101,12 @@ def thin_cells(window: Window) -> ThinCells:
     return ThinCells(zone, image, centre, pair.separation, part, pair, window)
 
 
-def _lit_tile(window: Window) -> Floats:
-    """Part of a cell that light may use: the optical zone, reduced to the channel of a baffle."""
+def _lit_tile(window: Window, array: int = 0) -> Floats:
+    """Part of a cell of an array that light may use: the optical zone, less walls and lines on its border."""
     wall = 0.0 if window.baffle is None else window.baffle.wall
-    widest = max(window.land.seam, window.land.line, wall)
-    return optical_tile(replace(window, land=replace(window.land, seam=widest)))
+    line = window.land.line if lined_array(window) == array else 0.0
+    widest = max(window.land.seam, line, wall)
+    return optical_tile(replace(window, land=replace(window.land, seam=widest)), array)
 
 
 def _in_lens_plane(rotation: Floats, points: Floats) -> Floats:
@@ -125,7 +127,7 @@ def share(cells: ThinCells, directions: ArrayLike, order: tuple[int, int] = (0, 
     if cells.window.baffle is not None and order != (0, 0):
         return np.zeros(len(np.asarray(directions)))
     slopes = cells.slopes(directions)
-    target = cells.zone + cells.neighbour(order)
+    target = partner_zone(cells) + cells.neighbour(order)
     whole = polygon_area(cells.image)
     common = common_areas(cells.image, arrivals(cells, slopes), target)
     return np.asarray(cells.part * common * _in_channels(cells, slopes) / whole)
@@ -145,7 +147,7 @@ def order_shares(cells: ThinCells, direction: Floats) -> dict[tuple[int, int], f
     around = np.column_stack([cells.neighbour(step) - cells.centre for step in ((1, 0), (0, 1))])
     arrival = arrivals(cells, cells.slopes(direction[None]))[0] - cells.centre
     steps = np.linalg.solve(around, (cells.image + arrival).T)
-    reach = np.abs(np.linalg.solve(around, cells.zone.T)).max(axis=1)
+    reach = np.abs(np.linalg.solve(around, partner_zone(cells).T)).max(axis=1)
     low, high = np.floor(steps.min(axis=1) - reach), np.ceil(steps.max(axis=1) + reach)
     orders = {(0, 0)}
     if np.prod(high - low + 1.0) <= MOST_ORDERS:
@@ -215,10 +217,10 @@ def _partner_apart(cells: ThinCells, index: Ints) -> Floats | None:
 def partner_zone(cells: ThinCells) -> Floats:
     """Outline (m, 2) of the optical zone of lens 2 relative to its own cell's centre, lens frame, lengths."""
     window, pair = cells.window, cells.pair
-    if not pair.second.own:
+    if not pair.second.own and lined_array(window) < 0:
         return cells.zone
     like = replace(window, placements=(CellPlacement(), pair.second))
-    return _in_lens_plane(pair.rotation, optical_tile(like, 1))
+    return _in_lens_plane(pair.rotation, _lit_tile(like, 1))
 
 
 def partner_step(cells: ThinCells, order: tuple[int, int]) -> Floats:
@@ -299,7 +301,7 @@ def lit_zone(cells: ThinCells) -> Floats:
     It is the intersection of the image of lens 1's zone and lens 2's zone; for cells along the lens axes
     p·min(1, |m|) wide.
     """
-    return clip(cells.image, cells.zone)
+    return clip(cells.image, partner_zone(cells))
 
 
 def fresnel_numbers(cells: ThinCells, wavelength: float, lit: Floats | None = None) -> tuple[float, float]:

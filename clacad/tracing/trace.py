@@ -18,12 +18,13 @@ import numpy as np
 
 from clacad.base.types import Rows, Rung
 from clacad.optics.rays import Fate, OneRay, Rays, TraceResult, as_rays
-from clacad.sheet.face_order import media_of
+from clacad.sheet.face_order import lined_array, media_of
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Window
 from clacad.tracing.facets.tiles import Tiles
 from clacad.tracing.layout import Layout, lay_out
 from clacad.tracing.ledger import Ledger
+from clacad.tracing.reference.face import on_line
 from clacad.tracing.reference.launch import trace_law
 from clacad.tracing.which_path import (
     IDEAL_FACES,
@@ -98,7 +99,7 @@ class SheetTracer:
 
     @property
     def lined(self) -> bool:
-        """Whether an opaque line on a face ends rays: of exact surfaces and facets."""
+        """Whether the recorded hits decide which rays an opaque line ends: of exact surfaces and facets."""
         return self.window.land.lined >= 0 and self.rung in ("surfaces", "mesh")
 
     def _without_line(self, rays: Rays, record: bool) -> TraceResult:
@@ -211,35 +212,24 @@ def _ended_at_line(layout: Layout, rays: Rays, found: TraceResult) -> TraceResul
     window, number = layout.window, layout.window.land.lined
     assert found.hits is not None
     assert found.directions is not None  # both recorded
-    body = window.bodies[number // 2]
-    face = body.back if number % 2 else body.front
-    place = found.hits[number] - [*window.shifts[face.array or 0], 0.0]
-    _, *local = window.lattice.locate(place[:, 0], place[:, 1])
-    margin = np.full(len(rays), np.inf)
-    for step, half in zip(window.lattice.steps, window.lattice.half_widths, strict=True):
-        across = np.stack(local, axis=1) @ np.asarray(window.lattice.offset(*step)) / (2.0 * half)
-        margin = np.minimum(margin, half - np.abs(across))
-    rows = np.flatnonzero((found.surface >= number) & (margin < 0.5 * window.land.line))
-    hits, ways, path = found.hits.copy(), found.directions.copy(), found.optical_path.copy()
+    array = lined_array(window)
+    place = found.hits[number, :, :2] - np.asarray(window.shifts[array])
+    cell, *local = layout.lattices[array].locate(place[:, 0], place[:, 1])
+    on = on_line(layout, array, cell, np.stack(local, axis=1))
+    rows = np.flatnonzero((found.surface >= number) & on)
+    names = ("hits", "directions", "optical_path", "fate", "surface", "position", "direction")
+    changed = {name: getattr(found, name).copy() for name in names}
+    hits, ways = changed["hits"], changed["directions"]
     before = ways[number - 1] if number else rays.direction
     hits[number + 1 :, rows], ways[number:, rows] = hits[number, rows], before[rows]
     for same, media in colours(layout, rays, rows):
         ends = np.stack([rays.position[same], *hits[: number + 1, same]])
-        path[same] = np.array(media[: number + 1]) @ np.linalg.norm(np.diff(ends, axis=0), axis=2)
-    fate, surface, position = found.fate.copy(), found.surface.copy(), found.position.copy()
-    fate[rows], surface[rows], position[rows] = Fate.VIGNETTED, number, hits[number, rows]
-    direction = found.direction.copy()
-    direction[rows] = before[rows]
-    return replace(
-        found,
-        fate=fate,
-        surface=surface,
-        position=position,
-        direction=direction,
-        optical_path=path,
-        hits=hits,
-        directions=ways,
-    )
+        changed["optical_path"][same] = np.array(media[: number + 1]) @ np.linalg.norm(
+            np.diff(ends, axis=0), axis=2
+        )
+    changed["fate"][rows], changed["surface"][rows] = Fate.VIGNETTED, number
+    changed["position"][rows], changed["direction"][rows] = hits[number, rows], before[rows]
+    return replace(found, **changed)
 
 
 def _enter(result: TraceResult, rows: Rows, own: TraceResult) -> None:

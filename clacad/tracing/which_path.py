@@ -104,7 +104,7 @@ def _rate(rung: Rung) -> Rung:
 
 def has_kernel(rung: Rung, window: Window) -> bool:
     """Whether a rung of a sheet has kernels: arrays not turned, lenses that do not rise with the places of
-    their cells, and rung thin without a field lens.
+    their cells, and rung thin without a field lens or an opaque line.
     """
     if rung == "law":
         return True
@@ -112,7 +112,7 @@ def has_kernel(rung: Rung, window: Window) -> bool:
     if any(change is not None and (any(change.climb) or change.lift is not None) for change in changes):
         return False
     if rung == "thin":
-        return not (window.thin.field or window.thin.turn)
+        return not (window.thin.field or window.thin.turn or window.land.lined >= 0)
     return not any(place.turn for place in window.placements)
 
 

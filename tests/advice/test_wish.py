@@ -181,8 +181,17 @@ def test_cells_fill_the_width_or_it_is_said():
     assert _rounded(search.wish, PitchBound(6.4, "")) == pytest.approx(40 / 6, abs=1e-4)
     wished = Search(read_wish({"eta": -1, "width": 40, "pitch": 6.4}), "x")
     assert _rounded(wished.wish, PitchBound(6.4, "")) == 6.4
-    found = list(not_met(wished.wish, built(wished.wish, Variant("slab"), 6.4, 12.0, "x")))
+    found = list(not_met(wished.wish, judge(built(wished.wish, Variant("slab"), 6.4, 12.0, "x"))))
     assert found == ["width: requested 40 mm, 6 x 6.4 = 38.4 mm"]
+
+
+def test_a_wished_field_beyond_the_field_of_view_is_reported_as_not_met():
+    """A slab of s = 12 p serves slopes up to p/s = 0.083, 4.8 deg from the normal."""
+    for field, told in (("4 deg", 0), ("10 deg", 1)):
+        wish = read_wish({"eta": -1, "width": 8, "pitch": 0.5, "form": "slab", "field": field})
+        found = list(not_met(wish, judge(built(wish, Variant("slab"), 0.5, 12.0, "x"))))
+        assert len(found) == told
+        assert all(text.startswith("field: 10 deg requested") for text in found)
 
 
 # --- formulas -----------------------------------------------------------------------------------------------

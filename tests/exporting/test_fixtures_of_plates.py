@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -161,6 +162,25 @@ def test_a_frame_has_a_spacer_for_every_gap():
         [high - low for low, high in zip(lands[::2], lands[1::2], strict=True)]
     )
     assert all(low[1] == high[0] for low, high in pairwise(spec.ends(gap) for gap in range(2)))
+
+
+@pytest.mark.slow
+def test_spacers_of_a_frame_for_thin_plates_rest_on_each_other_with_pins_in_their_holes():
+    """Three plates 0.7 mm apart: the second spacer is 1.2 mm high, and its pins are as deep as that allows."""
+    from clacad.design import template
+
+    kind = "three-plates-10deg"
+    small = Design.from_dict(tomllib.loads(template(kind, kind))).with_cells((8, 8))
+    spec = frame_spec(clacad.prescribe(small.replace("body.border", 3.0)), 6.0)
+    assert 0.3 < spec.rail < 0.4
+    parts = frame_solids(spec)
+    assert set(parts) == {"spacer1", "spacer2", "retainer1", "retainer2"}
+    boxes = {name: part.bounding_box() for name, part in parts.items()}
+    assert boxes["spacer2"].min.Z < boxes["spacer1"].max.Z == pytest.approx(spec.ends(0)[1])
+    assert boxes["retainer2"].min.Z < boxes["spacer2"].max.Z == pytest.approx(spec.ends(1)[1])
+    for one, two in (("spacer1", "spacer2"), ("spacer2", "retainer2"), ("retainer1", "spacer1")):
+        common = parts[one] & parts[two]
+        assert common is None or sum(s.volume for s in common.solids()) < 1e-9
 
 
 @pytest.mark.slow

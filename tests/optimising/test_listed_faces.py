@@ -73,6 +73,18 @@ def test_a_search_over_plates_returns_to_the_error_of_the_starter_with_its_walls
     assert load(out).pair.face == found.design.pair.face
 
 
+def test_terms_of_sixth_order_are_kept_and_searched_together_with_the_others():
+    """Terms too weak to take a tenth of the error; the list stays its own mirror image, and the walls are kept."""
+    design = starter("two-plates-10deg")
+    found = optimise(design, ("a6",), progress=lambda *_: None)
+    assert found.left_out == ()
+    assert found.history[-1][1] < 0.999 * found.history[0][1]
+    terms = [face.a6[0] for face in found.design.pair.face]
+    assert any(terms)
+    assert terms == [-term for term in terms[::-1]]
+    assert min(Walls.of(design, prescribe(design)).slack(prescribe(found.design)).values()) >= 0.0
+
+
 def _tables(faces):
     from clacad.design.faces import face_table
 

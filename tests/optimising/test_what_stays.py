@@ -228,7 +228,9 @@ def test_nothing_that_a_search_held_is_tried_to_mend_what_it_found(better):
 def test_a_search_whose_only_gains_cost_light_writes_nothing_and_says_so(tmp_path, monkeypatch):
     """A wall of the share that every change passes."""
     monkeypatch.setattr(
-        light_in_cells.ShareOfLight, "slack", lambda self, window: 1.0 if window is first else -1.0
+        light_in_cells.LightInCells,
+        "slack",
+        lambda self, window: {"share of light": 1.0 if first in (None, window) else -1.0},
     )
     start = made("plano", "straight")
     first = None

@@ -68,6 +68,23 @@ def test_partner_centres_vertices_and_shares_for_a_viewer(case):
     assert share(thin_cells(still), slope)[0] == pytest.approx(float(case["share_aligned"]), abs=1e-12)
 
 
+@pytest.mark.parametrize("wall", [0.0, 0.06])
+def test_the_walls_of_a_baffle_narrow_both_cells_of_aimed_pairs(wall):
+    """Light aside from the viewer, by ideal lenses with and without walls: what the walls stop is in no share."""
+    baffle = ["body.baffle = true", f"body.baffle_wall = {wall}"] if wall else []
+    aim = "lattice.aperture = {point = [0, 0, -100]}"
+    window = clacad.prescribe(clacad.load("biconvex", ["lattice.count = [9, 9]", aim, *baffle]))
+    assert window.thin.second.own
+    cell, slope = np.array([[8, 4]]), np.array([0.02, 0.0, 1.0])
+    slope[:2] += window.lattice.centres(cell)[0] / 100.0
+    spots = (sobol(1 << 14, 2) - 0.5) * window.lattice.pitch[0] + window.lattice.centres(cell)
+    start = np.column_stack([spots, np.zeros(len(spots))]) - slope
+    light = clacad.Rays(start, np.broadcast_to(slope, start.shape))
+    seen = clacad.trace(window, light, rung="thin")
+    wanted = (seen.fate == Fate.ALIVE) & (seen.order == 0).all(axis=1)
+    assert partner_share(window, cell, slope[None])[0] == pytest.approx(wanted.mean(), abs=5e-3)
+
+
 @pytest.mark.parametrize("case", golden("snell_slab")["cases"], ids=lambda c: f"X={c['vertex_1'][0]}")
 def test_hits_and_directions_through_decentred_slab_cells(case):
     """Cells of one pitch, vertices of array 2 at X (1 + κ f1): the affine part alone."""

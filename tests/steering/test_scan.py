@@ -180,6 +180,11 @@ def test_files_and_json_hold_the_numbers_of_the_scan(tmp_path, capsys, monkeypat
     told = json.loads(capsys.readouterr().out)
     assert told["tilt"] == pytest.approx(1e-4)
     assert 0.0 < told["wobble"] < 1e-3
+    focus = [*words[:2], "--travel", "5 um", "--axis", "z", "--positions", "2", "--rays", "64", "--no-waves"]
+    assert main(focus) == 0
+    shown = capsys.readouterr().out
+    assert re.search(r"convergence -3\d\.\d+ to 7\.\d+ 1/m", shown)
+    assert "cross-talk" not in shown
     assert main([*words, "--move", "plate=2"]) == 2
     assert main([*words[:3], "nothing"]) == 2
     assert main([*words, "-o", "scan.pdf"]) == 2

@@ -16,12 +16,13 @@ from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import Rays
 from clacad.optics.surface import refract
 from clacad.optics.surface.fresnel_coefficients import deviation, reflected
+from clacad.sheet.face_order import lined_array, lined_surfaces
 from clacad.sheet.window import IDENTITY, Body, Face, Window
 from clacad.tracing.layout import BodyPlan, Layout, lay_out, lenses, sheet_position
 from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL, RayColumns
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import Event, first_change
-from clacad.tracing.reference.face import NUDGE, lens_normals, wall_normals
+from clacad.tracing.reference.face import NUDGE, lens_normals, on_line, wall_normals
 from clacad.tracing.reference.launch import Beam, box_span, launch, on_to, sheet_xy, to_array
 
 FLIP = np.diag([1.0, 1.0, -1.0])
@@ -39,7 +40,10 @@ def mirrored(window: Window) -> Window:
     bodies = tuple(
         _mirrored_body(body, joint) for body, joint in zip(reversed(window.bodies), joined, strict=True)
     )
-    return replace(window, bodies=bodies, z_range=(-high, -low))
+    land = window.land
+    if land.lined >= 0:
+        land = replace(land, lined=2 * len(bodies) - 1 - land.lined)
+    return replace(window, bodies=bodies, z_range=(-high, -low), land=land)
 
 
 def _mirrored_body(body: Body, joined: bool) -> Body:
@@ -320,9 +324,10 @@ class _Packets:
         up, number, inside = state
         layout = self.layouts[up]
         land = np.isin(event.kind, (FRONT_LAND, BACK_LAND))
-        if layout.window.land.opaque and land.any():
-            self.end("opaque", packet.take(land))
-            packet, event = packet.take(~land), event.take(~land)
+        stops = land & layout.window.land.opaque | at_line(layout, number, packet.beam.direction, event)
+        if stops.any():
+            self.end("opaque", packet.take(stops))
+            packet, event = packet.take(~stops), event.take(~stops)
         right = (BACK, BACK_LAND) if inside else (FRONT, FRONT_LAND)
         astray = ~np.isin(event.kind, right)
         if not self.rules.walls and astray.any():
@@ -413,6 +418,16 @@ class _Packets:
             falls.beam, z=-(falls.beam.z + here) - there, direction=falls.beam.direction * (1.0, 1.0, -1.0)
         )
         self.put((not up, other, inside), replace(falls, beam=turned))
+
+
+def at_line(layout: Layout, number: int, ray: Floats, event: Event) -> Bools:
+    """Which rays, unit directions (m, 3), meet a face of a body on its opaque line, (m,)."""
+    array, on = lined_array(layout.window), np.zeros(len(ray), dtype=bool)
+    for side, kinds in enumerate(((FRONT, FRONT_LAND), (BACK, BACK_LAND))):
+        if 2 * number + side in lined_surfaces(layout.window):
+            place = event.starts[array] + event.distance[:, None] * ray[:, :2]
+            on |= np.isin(event.kind, kinds) & on_line(layout, array, event.cells[array], place)
+    return on
 
 
 def normals_met(layout: Layout, body: BodyPlan, packet: Packet, event: Event) -> Floats:

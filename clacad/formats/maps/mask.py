@@ -18,6 +18,7 @@ from clacad.base.polygons import distance_to_rim
 from clacad.base.types import Floats
 from clacad.formats.maps.sag import structured_faces
 from clacad.sheet.edge_columns import RADIUS, SENSE, X0, X1, Y0, Y1
+from clacad.sheet.face_order import lined_face
 from clacad.sheet.lattice import Circle
 from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.plate import Plate
@@ -33,11 +34,8 @@ DIRECTIONS = 720
 
 def masked_faces(window: Window) -> list[tuple[Body, Face, str]]:
     """Faces with a mask each: the one that carries an opaque line, or all with lenses."""
-    faces, lined = structured_faces(window), window.land.lined
-    if lined < 0:
-        return faces
-    body = window.bodies[lined // 2]
-    return [one for one in faces if one[1] is (body.back if lined % 2 else body.front)]
+    faces, lined = structured_faces(window), lined_face(window)
+    return faces if lined is None else [one for one in faces if one[1] is lined]
 
 
 def aperture(window: Window, body: Body, face: Face) -> Floats:
@@ -49,10 +47,7 @@ def aperture(window: Window, body: Body, face: Face) -> Floats:
     Raises CellsDiffer: The sheet is non-uniform, and there are rims: each would have an outline of its own.
     """
     assert face.array is not None
-    drawn = masked_faces(window)
-    if (
-        window.land.lined >= 0 and len(drawn) == 1 and drawn[0][1] is face
-    ):  # the line is the land of this face
+    if lined_face(window) is face:  # the line is the land of this face
         return optical_tile(replace(window, land=replace(window.land, seam=window.land.line)), face.array)
     zone = optical_tile(window, face.array)
     if body.front.change is not None or body.back.change is not None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clacad.base.types import Bools, Floats
+from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.optics.surface import Quadric, gradient, meet_at, refract
 from clacad.sheet.cell_places import LensPlaces
@@ -134,6 +134,12 @@ def in_zone(layout: Layout, local: Floats, margin: float, array: int = 0) -> Boo
         for (ux, uy), half in zip(layout.normals[array], layout.widths[array], strict=True):
             inside &= np.abs(ux * local[:, 0] + uy * local[:, 1]) <= half - margin
     return inside
+
+
+def on_line(layout: Layout, array: int, cell: Ints, local: Floats) -> Bools:
+    """Which points (m, 2) of the cell frames of an array lie on the opaque line around kept cells."""
+    margin = 0.5 * layout.window.land.line
+    return np.asarray(layout.lattice.contains(cell) & ~in_zone(layout, local, margin, array))
 
 
 def in_footprint(body: BodyPlan, xy: Floats, kept: Bools) -> Bools:

@@ -16,6 +16,7 @@ from clacad.base.types import Bools, Floats, Ints, Pair2, Rows
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.sheet.cell_places import CellPlacement, LensPlaces, VertexChange, extreme_cells
+from clacad.sheet.face_order import lined_array
 from clacad.sheet.lattice import Circle, Outline
 from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate import Plate
@@ -23,7 +24,7 @@ from clacad.tracing.layout import Box, Layout, array_numbers, half_sizes, sheet_
 from clacad.tracing.ledger import Ledger, RayColumns
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import along_normal
-from clacad.tracing.reference.face import in_zone
+from clacad.tracing.reference.face import in_zone, on_line
 from clacad.tracing.reference.launch import Beam, box_span, launch, sheet_xy, to_array
 
 BLOCK = 8192
@@ -308,7 +309,7 @@ def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Flo
     at = _position(layout, patch, beam)
     bent = patch.bend(layout, beam.cell, beam.local, beam.z, beam.direction)
     out = np.where(met.lens[:, None], bent, beam.direction)
-    opaque = met.land & met.solid & layout.window.land.opaque
+    opaque = _stops(layout, patch, met)
     backward = ~opaque & (~(out[:, 2] > 0.0) | ~(patch.climb(beam.direction) > 0.0))
     stopped = opaque | backward
     if patch.array < 2:
@@ -317,6 +318,14 @@ def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Flo
         if patch.array != 1:
             _end(layout, ledger, met.take(ended), fate, at[ended], beam.direction[ended], path[ended], 0)
     return ~stopped, out
+
+
+def _stops(layout: Layout, patch: ThinPatch, met: Met) -> Bools:
+    """Which rays (m,) end at opaque land or on the opaque line of a face of the array."""
+    opaque = met.land & met.solid & layout.window.land.opaque
+    if lined_array(layout.window) != patch.array:
+        return opaque
+    return opaque | (met.lens | met.solid) & on_line(layout, patch.array, met.beam.cell, met.beam.local)
 
 
 def _leave(layout: Layout, ledger: Ledger, patch: ThinPatch, gone: Passed, two: Met, path: Floats) -> None:
@@ -331,7 +340,7 @@ def _leave(layout: Layout, ledger: Ledger, patch: ThinPatch, gone: Passed, two: 
     ghost |= (astray != 0).any(axis=1)
     land = gone.land | two.land
     fate = np.select([land, ghost], [Fate.LAND, Fate.GHOST], Fate.ALIVE)
-    opaque = two.land & two.solid & layout.window.land.opaque
+    opaque = _stops(layout, patch, two)
     fate = np.select([opaque, ~goes], [Fate.VIGNETTED, Fate.BACKWARD], fate).astype(np.uint8)
     direction = np.where(goes[:, None], out, two.beam.direction)
     ledger.end(rows, fate, _position(layout, patch, two.beam), direction, path, 1)
