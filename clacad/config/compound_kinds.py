@@ -248,48 +248,51 @@ def _unknown(key: str, kinds: Mapping[str, Kind], value: object, allowed: str) -
 
 
 @dataclass(frozen=True, slots=True)
-class ListOrTable:
-    """A list of one kind, or an inline table of another."""
+class ListOr:
+    """A list, read to a tuple, or a value of another kind: an inline table, or a number."""
 
-    listed: Several
-    table: Record
+    listed: Kind
+    other: Kind
 
     def read(self, value: object, unit: Unit) -> Any:
-        """Return the value of the list or of the table."""
+        """Return the value of the list or of the other kind."""
+        table = isinstance(self.other, Record)
+        other = isinstance(value, dict) if table else not isinstance(value, list)
         try:
-            return self.table.read(value, unit) if isinstance(value, dict) else self.listed.read(value, unit)
+            return (self.other if other else self.listed).read(value, unit)
         except Refusal as refusal:
             if not refusal.where:
                 refusal.allowed = self.allowed(unit)
             raise
 
     def write(self, value: Any, unit: Unit) -> Any:
-        """Return the list or the table."""
-        is_table = isinstance(value, self.table.of)
-        return self.table.write(value, unit) if is_table else self.listed.write(value, unit)
+        """Return the list or the other value."""
+        return (self.listed if isinstance(value, tuple) else self.other).write(value, unit)
 
     def allowed(self, unit: Unit) -> str:
-        """Return the values that the list allows, then those that the table allows."""
-        return f"{self.listed.allowed(unit)} | {self.table.allowed(unit)}"
+        """Return the values that the list allows, then those of the other kind."""
+        return f"{self.listed.allowed(unit)} | {self.other.allowed(unit)}"
 
     def schema(self) -> JsonSchema:
         """Return the JSON Schema of either."""
-        return {"anyOf": [self.listed.schema(), self.table.schema()]}
+        return {"anyOf": [self.listed.schema(), self.other.schema()]}
 
 
 @dataclass(frozen=True, slots=True)
 class ListOf:
-    """A list of up to 1000 values of one kind."""
+    """A list of `least` to 1000 values of one kind."""
 
     kind: Kind
     what: Literal["texts", "tables", "pairs"]
+    least: int = 0
 
     def read(self, value: object, unit: Unit) -> tuple[Any, ...]:
         """Return the values as a tuple."""
         if not isinstance(value, list):
             raise Refusal("CL104", not_this(value, "a list"), value, self.allowed(unit))
-        if len(value) > 1000:
-            raise Refusal("CL108", f"has {len(value)} values", value, f"at most 1000 {self.what}")
+        if not self.least <= len(value) <= 1000:
+            most = f"{self.least} to 1000" if self.least else "at most 1000"
+            raise Refusal("CL108", f"has {len(value)} values", value, f"{most} {self.what}")
         return tuple(each(((i, self.kind, item) for i, item in enumerate(value)), unit))
 
     def write(self, value: tuple[Any, ...], unit: Unit) -> list[Any]:

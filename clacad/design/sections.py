@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from clacad.config import key_reader as schema
-from clacad.config.compound_kinds import ListOf, ListOrTable, Record, Several, WordOr
+from clacad.config.compound_kinds import ListOf, ListOr, Record, Several, WordOr
 from clacad.config.key_reader import FileForm, head_keys
 from clacad.config.keys import REQUIRED, Key, KeyPaths, key, keys_of
 from clacad.config.quantities import LENGTH, LENGTH_ABOVE_0, LENGTH_FROM_0, Quantity
@@ -280,7 +280,7 @@ class LatticeSpec:
     )
     outline: Outline | None = key(OUTLINE, "outer shape of the cells; cells wholly inside are kept")
     aperture: Literal["centred", "aligned"] | Pair2 | AimedAt = key(
-        WordOr(("centred", "aligned"), ListOrTable(Several(_SLOPE, _XY), Record(AimedAt))),
+        WordOr(("centred", "aligned"), ListOr(Several(_SLOPE, _XY), Record(AimedAt))),
         "place of cell 2 of a telescopelet; point: where the light of a viewer there arrives",
         "centred",
     )
@@ -324,6 +324,22 @@ class LineSpec:
     weight: float = key(Quantity("ratio", "a number > 0", above=0.0), "weight of the line", 1.0)
 
 
+LINES: Final = ListOf(Record(LineSpec), "tables", least=1)
+"""A list of lines, as designs and scenes state them."""
+
+
+def lines_of(spectrum: str | float | tuple[LineSpec, ...]) -> dict[float, float]:
+    """Lines of light (wavelength in metres → weight) by a word of `SPECTRA`, one wavelength, or a list."""
+    if isinstance(spectrum, str):
+        return SPECTRA[spectrum]
+    if isinstance(spectrum, float):
+        return {spectrum: 1.0}
+    found: dict[float, float] = {}
+    for line in spectrum:
+        found[line.wavelength] = found.get(line.wavelength, 0.0) + line.weight
+    return found
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LightSpec:
     """Section [light]: light that illuminates the sheet. `temperature` in kelvin.
@@ -334,7 +350,7 @@ class LightSpec:
 
     coherent: bool = key(Flag(), "whether the light is one wave over many cells, as a laser's", False)
     spectrum: Literal["visible", "photopic"] | tuple[LineSpec, ...] | None = key(
-        WordOr(("visible", "photopic"), ListOf(Record(LineSpec), "tables")),
+        WordOr(("visible", "photopic"), LINES),
         "lines of white light: F e d C with equal weights, five lines weighted by V(lambda), or a list",
     )
     temperature: float | None = key(
@@ -347,9 +363,7 @@ class LightSpec:
     @property
     def lines(self) -> dict[float, float]:
         """Lines of white light: wavelength in metres → weight."""
-        if isinstance(self.spectrum, tuple):
-            return {line.wavelength: line.weight for line in self.spectrum}
-        return SPECTRA[self.spectrum or "visible"]
+        return lines_of(self.spectrum or "visible")
 
 
 ROOT: Final = head_keys(

@@ -1,8 +1,8 @@
 """Dispersion: each line of the light has its own refractive index.
 
-*Model.* One pass per wavelength of the scene's or the design's spectrum (`Setting.wavelengths`, lines of
-`clacad.design.sections.SPECTRA`), n(λ) of each body's material; no index outside the material's data. In a
-trace, one row per ray, rays without a wavelength take the lines in turn.
+*Model.* One pass per wavelength of the scene's or the design's spectrum (`Setting.wavelengths` and `weights`,
+read by `clacad.design.sections.lines_of`), n(λ) of each body's material; no index outside the material's data.
+In a trace, one row per ray, rays without a wavelength take the lines in turn, each as often as its weight.
 *Law.* A constant index changes nothing, and light of the design wavelength is unchanged.
 *On when* there is more than one line and the growth of the largest direction error exceeds the angle that
 matters: per lens axis ε |1 − m|/|m| (x − u)/s, x and u where the light crosses lens 1 and 2, ε = max |n(λ) −
@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from math import hypot
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clacad.effects.engine.camera_light import MOST, traced_with
 from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
@@ -35,10 +36,21 @@ def effect(window: Window, setting: Setting) -> Effect:
     def launch(_: Window, rays: Rays) -> Rays:
         if not lines or rays.wavelength is not None:
             return rays
-        turn = np.arange(len(rays)) % len(lines)
-        return Rays(rays.position, rays.direction, np.array(lines)[turn])
+        return Rays(rays.position, rays.direction, np.array(lines)[turns(setting.weights, lines, len(rays))])
 
     return Effect(NAME, When.LAUNCH, launch=launch)
+
+
+def turns(weights: Sequence[float], lines: Sequence[float], count: int) -> NDArray[np.intp]:
+    """Line (count,) of each of several rays: any first rays take the lines in the ratio of their weights.
+
+    A line of the share w of the light has its turns at (k + 1/2)/w, k = 0, 1, …; weights () are all equal.
+    """
+    share = np.array(weights or [1.0] * len(lines)) / sum(weights or [1.0] * len(lines))
+    many = np.minimum(count, np.ceil(share * count).astype(np.intp) + 1)
+    which = np.repeat(np.arange(len(lines)), many)
+    turn = np.concatenate([np.arange(k) + 0.5 for k in many]) / share[which]
+    return which[np.argsort(turn, kind="stable")[:count]]
 
 
 def spread(window: Window, wavelengths: Sequence[float]) -> float:

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from clacad.base.hashing import GOLDEN, mixed
 from clacad.base.sobol import sobol
 from clacad.base.vectors import picture_axes
-from clacad.design.sections import SPECTRA
 
 if TYPE_CHECKING:
     from clacad.base.types import Floats, Ints
@@ -68,25 +67,42 @@ def lines(light: Light, window: Window, dispersion: bool) -> tuple[SpectralLine,
     dispersion : Whether the lines are traced separately; else one represents all.
     """
     tells = any(body.material is not None for body in window.bodies)
-    if isinstance(light.spectrum, float):
-        return (SpectralLine(light.spectrum if tells else None, np.ones(3), np.ones(3), whole=True),)
+    spectrum, one = light.lines, np.ones(3)
+    if len(spectrum) == 1:
+        return (SpectralLine(next(iter(spectrum)) if tells else None, one, one, whole=True),)
     if not (dispersion and tells):
-        return (SpectralLine(None, np.ones(3), np.ones(3), whole=True),)
-    spectrum = SPECTRA[light.spectrum]
+        return (SpectralLine(None, one, one, whole=True),)
     if light.spectrum == "rgb":
         return tuple(SpectralLine(wave, unit, unit) for wave, unit in zip(spectrum, np.eye(3), strict=True))
     return _daylight(spectrum)
 
 
 def _daylight(spectrum: Mapping[float, float]) -> tuple[SpectralLine, ...]:
-    """Lines (metres → weight) as samples of daylight D65."""
+    """Lines (metres → weight) as samples of daylight D65.
+
+    Lines that lack red, green or blue light show white in their own colour.
+    """
     waves, bright = 1e9 * np.array(list(spectrum)), np.array(list(spectrum.values()))
     weights = (_matching(waves) * (bright * np.interp(waves, _D65_NM, _D65))[:, None]) @ _XYZ_TO_RGB.T
-    weights /= weights.sum(axis=0)  # equal radiance at every line is white
     blue, red = np.clip((510.0 - waves) / 40.0, 0.0, 1.0), np.clip((waves - 570.0) / 30.0, 0.0, 1.0)
     bands = np.column_stack([red, 1.0 - red - blue, blue])
-    basis = bands @ np.linalg.inv(weights.T @ bands)  # colours are reproduced exactly; rows still sum to 1
+    if np.abs(weights).max() < UNSEEN:
+        weights = np.outer(bright, np.ones(3))
+    white = weights.sum(axis=0)
+    if np.all(white) and np.linalg.cond((weights / white).T @ bands) < SEPARATE:
+        weights /= white  # equal radiance at every line is white
+        basis = bands @ np.linalg.inv(weights.T @ bands)  # exact colours; rows still sum to 1
+    else:
+        weights = np.maximum(weights, 0.0)
+        weights, basis = weights / weights.sum(axis=0).max(), bands
     return tuple(SpectralLine(wave, b, w) for wave, b, w in zip(spectrum, basis, weights, strict=True))
+
+
+SEPARATE = 100.0
+"""Condition of the three colours in some lines up to which they are told from one another."""
+
+UNSEEN = 1e-6
+"""Response of the eye below which lines are shown grey; that of visible lines is of order 100."""
 
 
 def _matching(nm: Floats) -> Floats:

@@ -15,11 +15,12 @@ from typing import Any, Final, Literal
 
 from clacad.config import key_reader as schema
 from clacad.config import keys
-from clacad.config.compound_kinds import ListOf, Several, WordOr
+from clacad.config.compound_kinds import ListOf, ListOr, Several, WordOr
 from clacad.config.key_reader import FileForm, head_keys
 from clacad.config.keys import REQUIRED, Key, keys_of
 from clacad.config.quantities import LENGTH, LENGTH_ABOVE_0, LENGTH_FROM_0, Quantity
 from clacad.config.value_kinds import Flag, JsonSchema, Text, Whole, Word
+from clacad.design.sections import LINES, LineSpec, lines_of
 from clacad.design.sections import SECTIONS as DESIGN_SECTIONS
 from clacad.scene.kinds import Anything, ColourValue, NumberOrRow, Numbers, Rgb, Size
 
@@ -144,24 +145,29 @@ class Camera:
 class Light:
     """Section [light]: light on the objects, radiance = colour · (ambient + key · max(0, n · l)).
 
-    `spectrum` is a wavelength in metres, or a word of `clacad.design.sections.SPECTRA`: "visible" and
-    "photopic" have the lines and weights of a design's [light]. Directions of polarisation in degrees from
-    the x axis, before and behind the sheet.
+    `spectrum` is a wavelength in metres, a word of `clacad.design.sections.SPECTRA`, or a list of lines with
+    weights: the list, "visible" and "photopic" are those of a design's [light]. Directions of polarisation in
+    degrees from the x axis, before and behind the sheet.
     """
 
     ambient: float = keys.key(_SHARE, "light from everywhere", 0.35)
     key: float = keys.key(_SHARE, "light from one direction", 0.65)
     direction: Vector = keys.key(_VECTOR, "towards that light", (-0.4, 0.8, -0.45))
-    spectrum: Literal["rgb", "D65", "visible", "photopic"] | float = keys.key(
+    spectrum: Literal["rgb", "D65", "visible", "photopic"] | float | tuple[LineSpec, ...] = keys.key(
         WordOr(
             ("rgb", "D65", "visible", "photopic"),
-            Quantity("wavelength", "a wavelength from 10 nm to 1 mm", least=1e-8, most=1e-3),
+            ListOr(LINES, Quantity("wavelength", "a wavelength from 10 nm to 1 mm", least=1e-8, most=1e-3)),
         ),
-        "one wavelength, three lines, daylight in nine samples, or the lines of a design's [light]",
+        "one wavelength, three lines, daylight in nine samples, or lines as in a design's [light]",
         550e-9,
     )
     polariser: float | None = keys.key(_ANGLE, "direction the scene's light is polarised in")
     analyser: float | None = keys.key(_ANGLE, "direction of an analyser before the camera")
+
+    @property
+    def lines(self) -> dict[float, float]:
+        """Lines of the light: wavelength in metres → weight."""
+        return lines_of(self.spectrum)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

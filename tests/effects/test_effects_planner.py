@@ -12,8 +12,9 @@ import pytest
 
 from clacad import load, prescribe
 from clacad.cli import main
-from clacad.effects import NAMES, Setting, plan_effects
+from clacad.effects import NAMES, Setting, declared, plan_effects
 from clacad.effects.engine.probe_rays import cone, situation_of_window
+from clacad.optics.rays import Rays
 from clacad.scene import load_scene
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -146,21 +147,42 @@ def test_lenslets_that_a_pixel_resolves_are_traced():
     assert "can be seen" in plan.rung_why
 
 
-@pytest.mark.parametrize("spectrum", ["rgb", "D65", "visible", "photopic"])
-def test_plan_picture_and_design_have_the_lines_of_one_word(spectrum):
-    from clacad.design.sections import LightSpec
+LISTED = [{"wavelength": "486.1 nm", "weight": 1.0}, {"wavelength": "587.6 nm", "weight": 3.0}]
+
+
+@pytest.mark.parametrize("spectrum", ["rgb", "D65", "visible", "photopic", LISTED])
+def test_plan_picture_and_design_have_the_lines_of_one_spectrum(spectrum):
     from clacad.effects.engine.probe_rays import design_setting, situation_of_scene
     from clacad.rendering.camera import lines
 
-    scene = load_scene(SCENES / "effects-wide.toml", (f'light.spectrum="{spectrum}"',))
+    given = json.dumps(spectrum).replace('": ', '" = ')
+    scene = load_scene(SCENES / "effects-wide.toml", (f"light.spectrum={given}",))
     situation = situation_of_scene(scene)
     traced = tuple(line.wavelength for line in lines(scene.light, situation.window, True))
     assert situation.wavelengths == traced
-    if spectrum in ("visible", "photopic"):
+    if spectrum not in ("rgb", "D65"):
         design = load(DESIGNS / "slab.toml")
         assert design_setting(design).wavelengths == ()
         assert design_setting(design.replace("light.spectrum", spectrum)).wavelengths == traced
-        assert tuple(LightSpec(spectrum=spectrum).lines) == traced
+        stated = design.replace("light.spectrum", spectrum).light
+        assert stated.spectrum == scene.light.spectrum
+        assert stated.lines == dict(zip(traced, situation.setting.weights, strict=True))
+
+
+def test_rays_without_a_wavelength_take_the_lines_as_often_as_their_weights():
+    lines = {450e-9: 1.0, 550e-9: 4.0, 650e-9: 2.5}
+    launch = (
+        declared("dispersion")
+        .effect(situation().window, Setting(wavelengths=tuple(lines), weights=tuple(lines.values())))
+        .launch
+    )
+    for count in (1, 7, 100, 1001):
+        waves = launch(situation().window, Rays(np.zeros((count, 3)), np.ones((count, 3)))).wavelength
+        many = np.array([(waves == wave).sum() for wave in lines])
+        assert np.abs(many - count * np.array(list(lines.values())) / 7.5).max() <= 1.0
+    equal = declared("dispersion").effect(situation().window, Setting(wavelengths=tuple(lines))).launch
+    waves = equal(situation().window, Rays(np.zeros((6, 3)), np.ones((6, 3)))).wavelength
+    assert waves.tolist() == 2 * list(lines)
 
 
 def test_the_command_prints_the_plan(capsys):

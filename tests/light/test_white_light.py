@@ -176,6 +176,7 @@ def test_stated_lines_and_limits_are_judged_and_older_designs_keep_their_text():
         ({"light.temperature": "20 m"}, "is a length"),
         ({"light.temperature": "5 K", "pair.material": "PMMA Beadie"}, "dn/dT of PMMA Beadie"),
         ({"light.spectrum": "visable"}, "visible"),
+        ({"light.spectrum": []}, "1 to 1000 tables"),
     ],
 )  # fmt: skip
 def test_lines_and_temperatures_that_are_not_known_are_refused(changes, says):

@@ -17,6 +17,7 @@ import pytest
 from viewscenes import CASES, ROOT, VIEWS, view_data, view_scene
 
 from clacad.design import template
+from clacad.design.sections import LineSpec
 from clacad.optics.rays import Fate
 from clacad.rendering import view_through
 from clacad.rendering.camera import aim, offsets, rays
@@ -340,7 +341,10 @@ def test_three_lines_of_a_material_without_dispersion_give_the_plain_picture():
         assert found[0].wavelength is None
 
 
-@pytest.mark.parametrize("spectrum", ["rgb", "D65", "visible", "photopic"])
+THREE = (LineSpec(450e-9), LineSpec(532e-9, 2.0), LineSpec(635e-9))
+
+
+@pytest.mark.parametrize("spectrum", ["rgb", "D65", "visible", "photopic", THREE])
 def test_colours_come_back_through_the_spectrum(spectrum):
     from clacad.prescription.prescribe import prescribe
     from clacad.rendering.camera import lines
@@ -356,6 +360,24 @@ def test_colours_come_back_through_the_spectrum(spectrum):
     white = [np.ones(3) @ line.basis for line in found]
     if spectrum != "rgb":
         np.testing.assert_allclose(white, 1.0, atol=1e-12)  # white is the same at every line
+
+
+def test_white_in_lines_without_blue_has_their_colour_and_invisible_lines_are_grey():
+    from clacad.prescription.prescribe import prescribe
+    from clacad.rendering.camera import lines
+
+    sheet = prescribe(scene(sheet={"design": "designs/window-100mm.toml"}).design())
+
+    def white(*spectrum):
+        light = replace(scene().light, spectrum=tuple(LineSpec(wave, weight) for wave, weight in spectrum))
+        return sum((np.ones(3) @ line.basis) * line.weight for line in lines(light, sheet, True))
+
+    red, green, blue = white((532e-9, 1.0), (633e-9, 1.0))
+    assert blue < 0.01 < red
+    assert 0.01 < green
+    redder = white((532e-9, 1.0), (633e-9, 4.0))
+    assert redder[0] / redder[1] == pytest.approx(4.0 * red / green, rel=1e-9)
+    assert white((1.0e-6, 3.0), (1.1e-6, 1.0)) == pytest.approx([1.0, 1.0, 1.0])
 
 
 SLAB = {

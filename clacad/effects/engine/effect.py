@@ -36,6 +36,8 @@ class Setting:
         Imaginary part k of the index where the material's is not known (absorption).
     wavelengths : tuple of float, metres
         Lines of the light (dispersion); empty: one line, the design wavelength.
+    weights : tuple of float
+        Their weights; empty: all equal.
     order : int
         Largest number of reflections in a split path (reflections).
     faces : int
@@ -62,6 +64,7 @@ class Setting:
     coating: Coating = "none"
     extinction: float | None = None
     wavelengths: tuple[float, ...] = ()
+    weights: tuple[float, ...] = ()
     order: int = 2
     faces: int = 8
     roughness: float = 0.0

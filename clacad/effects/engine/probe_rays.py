@@ -16,7 +16,6 @@ from clacad.base.sobol import sobol
 from clacad.base.text import mrad_text
 from clacad.base.types import Ints, Rung
 from clacad.base.vectors import picture_axes
-from clacad.design.sections import SPECTRA
 from clacad.effects.engine.effect import PROBE, Setting, Situation
 from clacad.light.compare import rms_between
 from clacad.optics.rays import Fate, Rays
@@ -98,10 +97,12 @@ def situation_of_design(design: Design, angle: float | None = None, radiance: fl
 
 def design_setting(design: Design) -> Setting:
     """Parameters of the effects in a design; the lines of white light where it states them."""
+    lines = {} if design.light.spectrum is None else design.light.lines
     return Setting(
         roughness=design.body.roughness * design.unit_m,
         slope_rms=design.body.slope_rms,
-        wavelengths=() if design.light.spectrum is None else tuple(design.light.lines),
+        wavelengths=tuple(lines),
+        weights=tuple(lines.values()),
     )
 
 
@@ -151,7 +152,8 @@ def scene_setting(scene: Scene, design: Design, scale: float) -> Setting:
         design_setting(design),
         coating=scene.effects.coating,
         order=scene.effects.order,
-        wavelengths=tuple(SPECTRA[light.spectrum]) if isinstance(light.spectrum, str) else (light.spectrum,),
+        wavelengths=tuple(light.lines),
+        weights=tuple(light.lines.values()),
         polariser=polariser,
         analyser=analyser,
         aperture=camera.aperture * scale,
