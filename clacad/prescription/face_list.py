@@ -11,12 +11,15 @@ thicknesses T_i and indices n_i of the layers,
 
 The first keeps the pair afocal at the design wavelength, f1 = s/(1 − η), f2 = −η f1 and R = (n − 1) f. The
 second keeps it afocal in both lines. It holds at every η, for both meridians have the same sum. Conic
-constants are −1/n² at η = −1, where they make each face perfect on its axis; else those of least law error.
+constants are −1/n² at η = −1, where they make each face perfect on its axis; else they and the radii are
+those of least law error over the lines, next to these.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import pairwise
 from math import asin, tan
 from typing import TYPE_CHECKING, Any
@@ -231,8 +234,8 @@ def _number_of(faces: tuple[FaceSpec, ...], array: object) -> int:
 KEPT = ("wavelength", "vertex", "offset")
 """Keys of a slab of layers that its list of faces has, too."""
 
-LEAST_RAYS = 32
-"""Rays that reach the partner's cell from which conic constants are found; of 32 times as many."""
+LEAST_RAYS = 16
+"""Rays that reach the partner's cell from which faces are found; of 32 times as many."""
 
 PLASTIC = "achromat-plastic"
 """Starter with curved joints."""
@@ -274,8 +277,10 @@ def layered_faces(design: Design) -> tuple[FaceSpec, ...]:
     eta = design.law_spec.eta
     if pair.conic is not None or eta == (-1.0, -1.0):
         return faces
-    light = _own_light(eta, pair.separation, design.lattice.pitch, design.check.field)
-    return faces if light is None else _with_best_conics(faces, (index[0], index[1], index[0]), light)
+    lines = design.light.lines
+    media = tuple((1.0, *(float(find(name).index(wave)) for name in pair.layers), 1.0) for wave in lines)
+    asked = eta, pair.separation, design.lattice.pitch, design.check.field
+    return _best_faces(faces, media, tuple(lines.values()), asked)
 
 
 def _own_light(eta: Pair2, separation: float, pitch: Pair2, field: float) -> AskedLight | None:
@@ -294,29 +299,52 @@ def _own_light(eta: Pair2, separation: float, pitch: Pair2, field: float) -> Ask
     return AskedLight.of(Rays(start, np.hstack([slope, one])), asked / np.linalg.norm(asked, axis=1)[:, None])
 
 
-def _with_best_conics(
-    faces: tuple[FaceSpec, ...], index: tuple[float, ...], light: AskedLight
+@lru_cache(maxsize=64)
+def _best_faces(
+    faces: tuple[FaceSpec, ...],
+    media: tuple[tuple[float, ...], ...],
+    weights: tuple[float, ...],
+    asked: tuple[Pair2, float, Pair2, float],
 ) -> tuple[FaceSpec, ...]:
-    """The faces with the conic constants of the outer ones, to 6 digits, that follow the law best.
+    """The faces with the radii and conic constants of the outer ones, to 6 digits, that follow the law best.
 
-    index : of each layer
+    Least mean square error over the lines. Both meridians have the same numbers where they have the same law.
+
+    media : Indices before, between and behind the faces in each line.
+    weights : of each line; asked : η, separation, pitch and field, as of `_own_light`
     """
+    light, (eta, _, pitch, _) = _own_light(*asked), asked
+    if light is None:
+        return faces
+    radius = np.array([*faces[0].radius, *faces[-1].radius])
+    meridians = [0, 0, 1, 1] if eta[0] == eta[1] and pitch[0] == pitch[1] else [0, 1, 2, 3]
+    share = np.sqrt(np.array(weights) / sum(weights))
 
-    def changed(conics: Floats) -> tuple[FaceSpec, ...]:
-        k = conics.tolist()
-        first, last = replace(faces[0], conic=(k[0], k[1])), replace(faces[-1], conic=(k[2], k[3]))
-        return (first, *faces[1:-1], last)
+    def changed(unknowns: Floats) -> list[list[float]]:
+        conics, scales = unknowns.reshape(2, -1)[:, meridians]
+        return [(radius * scales).tolist(), conics.tolist()]
 
-    def residuals(conics: Floats) -> Floats:
-        return law_residuals(_sequence(changed(conics), index), light)
+    def residuals(unknowns: Floats) -> Floats:
+        trial = _with_outer(faces, *changed(unknowns))
+        each = [law_residuals(_sequence(trial, indices), light) for indices in media]
+        return (share[:, None] * each).ravel()
 
-    found = minimise(residuals, np.array([*faces[0].conic, *faces[-1].conic]))
-    return changed(np.array([float(f"{value:.6g}") for value in found]))
+    first = np.array([*faces[0].conic, *faces[-1].conic])[np.unique(meridians, return_index=True)[1]]
+    found = changed(minimise(residuals, np.concatenate([first, np.ones(len(first))])))
+    return _with_outer(faces, *([float(f"{value:.6g}") for value in row] for row in found))
 
 
-def _sequence(faces: tuple[FaceSpec, ...], index: tuple[float, ...]) -> list[Interface]:
-    """Faces on one axis, with the indices of the media between them."""
-    media = (1.0, *index, 1.0)
+def _with_outer(
+    faces: tuple[FaceSpec, ...], radius: Sequence[float], conic: Sequence[float]
+) -> tuple[FaceSpec, ...]:
+    """The faces with radii and conic constants (4,) of the first and the last: x and y of each."""
+    (r1, r2, r3, r4), (k1, k2, k3, k4) = radius, conic
+    first = replace(faces[0], radius=(r1, r2), conic=(k1, k2))
+    return (first, *faces[1:-1], replace(faces[-1], radius=(r3, r4), conic=(k3, k4)))
+
+
+def _sequence(faces: tuple[FaceSpec, ...], media: tuple[float, ...]) -> list[Interface]:
+    """Faces on one axis, with the indices of the media before, between and behind them."""
     return [
         Interface(surface_of(face, 1 if number == 0 else -1), (0.0, 0.0, z), before, after)
         for number, (face, z, before, after) in enumerate(
