@@ -291,8 +291,7 @@ class ListOf:
         if not isinstance(value, list):
             raise Refusal("CL104", not_this(value, "a list"), value, self.allowed(unit))
         if not self.least <= len(value) <= 1000:
-            most = f"{self.least} to 1000" if self.least else "at most 1000"
-            raise Refusal("CL108", f"has {len(value)} values", value, f"{most} {self.what}")
+            raise Refusal("CL108", f"has {len(value)} values", value, f"{self.least} to 1000 {self.what}")
         return tuple(each(((i, self.kind, item) for i, item in enumerate(value)), unit))
 
     def write(self, value: tuple[Any, ...], unit: Unit) -> list[Any]:

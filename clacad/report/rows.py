@@ -206,7 +206,9 @@ class LightRows:
                 else "a sheet of several materials or plates has no floor"
             )
             found.append(f"index by {'; '.join(white.detail['sources'].values())}")
-        if warm is not None and not warm.detail.get("rows"):
+        if warm is not None and warm.detail.get("rows"):
+            found.append(f"dn/dT by {'; '.join(dict.fromkeys(warm.detail['sources'].values()))}")
+        elif warm is not None:
             found.append(warm.sentence)
         return f"{'; '.join(found)}." if found else ""
 

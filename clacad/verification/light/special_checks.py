@@ -53,6 +53,7 @@ from clacad.verification.light.through_window import Lit
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.optics.material.material import Material
 
 
 FOCUS, MOVED, SHARE, LAW = 0.01, 0.02, 0.95, 1.2
@@ -373,7 +374,9 @@ def _temperature(lit: Lit, cell: SeenCell, base: Light) -> Check:
         f"{kelvin:g} K change the direction by {mrad_text(worst['change'])} rms (closed form"
         f" {mrad_text(worst['closed_form'])}); light then leaves {each} mrad rms from the law"
     )
-    return _judged(TEMPERATURE, worst["change"], limit, sentence, base, {"rows": rows})
+    sources = thermal_sources_of(lit.like)
+    sentence += f"; dn/dT by {'; '.join(dict.fromkeys(sources.values()))}"
+    return _judged(TEMPERATURE, worst["change"], limit, sentence, base, {"rows": rows, "sources": sources})
 
 
 def _at(lit: Lit, cell: SeenCell, base: Light, kelvin: float) -> dict[str, float]:
@@ -395,8 +398,17 @@ def _judged(
 
 def sources_of(window: Window) -> dict[str, str]:
     """Material → source of its index."""
-    materials = [body.material for body in window.bodies if body.material is not None]
-    return {one.name: one.source.split(",")[0] + _year(one.source) for one in materials}
+    return {one.name: one.source.split(",")[0] + _year(one.source) for one in _materials(window)}
+
+
+def thermal_sources_of(window: Window) -> dict[str, str]:
+    """Material → source of its dn/dT."""
+    own = {one.name: one.thermal.source.split(";")[0] for one in _materials(window)}
+    return {name: own[name] or source for name, source in sources_of(window).items()}
+
+
+def _materials(window: Window) -> list[Material]:
+    return [body.material for body in window.bodies if body.material is not None]
 
 
 def _year(source: str) -> str:
