@@ -113,7 +113,7 @@ def judge_placed(asked: Inspection, placed: Placed) -> tuple[list[Check], MeshEv
     else:
         as_written = replace(asked, stated={})
         found, evidence = judge_mesh(as_written, placed.window, placed.mesh, placed.factor, placed.present)
-        evidence = replace(evidence, facts={**evidence.facts, "role": asked.role})
+        evidence = replace(evidence, facts={**evidence.facts, "role": asked.role, "pose": placed.pose})
         failed = {check.kind for check in found if check.state == "fail"}
         if CLOSED in failed and _measured(placed, asked.role):
             found, evidence = judge_returned(asked, placed)

@@ -18,7 +18,7 @@ from clacad.measuring.form_and_seams import Surface, surface_of
 from clacad.measuring.judge_scan import Scanned, scan_checks
 from clacad.measuring.light_through_form import light_through_form, texture_share
 from clacad.measuring.measured import Measured
-from clacad.measuring.read_map import MeasuredMap, read_map
+from clacad.measuring.read_map import MeasuredMap, read_map, surface_map
 from clacad.measuring.scales import HEIGHTS, LATERAL, Scale, Stated, scale_by_tilt, scale_of
 from clacad.measuring.sides import Name, ShownCells, Side, cells_in_map, sides_of
 from clacad.prescription.prescribe import prescribe
@@ -26,6 +26,7 @@ from clacad.storage.errors import BadRequest
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.judging.pose_fit import PartPose
     from clacad.sheet.window import Window
 
 Path = str | os.PathLike[str]
@@ -83,13 +84,16 @@ class Maps:
         )
         kept: list[float] = []
         swapped: list[float] = []
-        for name, path in (("front", self.front), ("back", self.back)):
+        read: list[Given | None] = [self.front, self.back]
+        for k, name in enumerate(SIDES):
+            path = read[k]
             if isinstance(path, (str, os.PathLike)):
-                one = read_map(path, self.unit)
+                one = read[k] = read_map(path, self.unit, name)
                 for other in SIDES:
                     miss = _miss(one, sides[other], heights.value, lateral.value, design.unit_m)
                     (kept if other == name else swapped).append(miss)
-        return (self.back, self.front) if sum(swapped) < sum(kept) else (self.front, self.back)
+        front, back = read
+        return (back, front) if sum(swapped) < sum(kept) else (front, back)
 
 
 SIDES: tuple[Name, Name] = ("front", "back")
@@ -246,7 +250,7 @@ def fitted_sides(
     read: dict[Name, MeasuredMap] = {}
     for name, one in maps.items():
         told(f"reading the {name}", 0.0)
-        read[name] = one if isinstance(one, MeasuredMap) else read_map(one, of.unit)
+        read[name] = one if isinstance(one, MeasuredMap) else read_map(one, of.unit, name)
     if of.tilted is not None:
         told("finding the scale of heights", 0.2)
         first = next(iter(read))
@@ -328,6 +332,21 @@ def _by_tilt(
         one, two = (_fitted(each, side, scale.value, lateral, unit_m)[1] for each in (level, tilted))
         scale = scale_by_tilt(one, two, scale)
     return scale
+
+
+def measure_mesh(design: Design, path: Path, pose: PartPose) -> Measured:
+    """Measure both sides of a part by its mesh; `pose` brings the file's numbers into the sheet frame.
+
+    Raises as `measure`; NotMeasurable: a side of it has no lenslets that can be fitted.
+    """
+    from clacad.formats.mesh.readers import read_mesh
+
+    name, size = os.path.basename(path), pose.scale * design.unit_m
+    corners = np.concatenate([pose.onto_design(chunk) for chunk in read_mesh(path).chunks()]) * size
+    front, back = (surface_map(name, corners, side) for side in SIDES)
+    if front.points.shape == back.points.shape and np.array_equal(front.points, back.points):
+        raise NotMeasurable(f"{name}: it is a surface of one side")
+    return measure(design, front, back)
 
 
 def maps_of(paths: Sequence[str | os.PathLike[str]], sides: Mapping[str, str], stated: Maps) -> Maps:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -40,6 +40,9 @@ MESHES = (".stl", ".ply", ".obj")
 
 ENDINGS = (*LIBRARIES, *PICTURES, CLOUD, *MESHES)
 LONGEST_JSON = 1 << 16
+FARTHEST = 1.0
+"""Height (metres) from which a number marks a point that was not measured."""
+
 LEAST, MOST = 1e-9, 1e-2
 """Range of the distance of neighbouring points of a map, metres."""
 
@@ -87,10 +90,15 @@ def is_map(path: Path) -> bool:
     return ending in PICTURES and _beside(path) is not None
 
 
-def read_map(path: str | os.PathLike[str], unit: str | None = None) -> MeasuredMap:
+def read_map(
+    path: str | os.PathLike[str],
+    unit: str | None = None,
+    side: Literal["front", "back"] | None = None,
+) -> MeasuredMap:
     """Read a height map.
 
     unit : Length unit of a cloud that states none.
+    side : Side of a closed mesh that is read.
     Raises NotPossible: The library that reads it is not installed.
     Raises UnreadableFile, OverBudget, OSError: As every reader of untrusted files.
     Raises BadRequest: A scale that the file does not hold is not stated.
@@ -107,7 +115,7 @@ def read_map(path: str | os.PathLike[str], unit: str | None = None) -> MeasuredM
     if ending == CLOUD:
         return _cloud(path, unit)
     if ending in MESHES:
-        return _mesh(path, unit)
+        return _mesh(path, unit, side)
     library = LIBRARIES.get(ending)
     if library is not None and find_spec(library) is None:
         raise NotPossible(
@@ -150,7 +158,7 @@ def load(path: str, ending: str, target: str) -> tuple[float, float]:
     try:
         z, pixel = readers.get(ending, _load_picture)(path)
         if z.ndim != 2 or min(z.shape) < 2:
-            raise UnreadableFile(f"it holds {' x '.join(map(str, z.shape))} heights: no surface")
+            raise UnreadableFile(f"it holds {' x '.join(map(str, z.shape)) or 'single'} heights: no surface")
         if z.dtype.kind not in "fiu":
             raise UnreadableFile(f"its values are of type {z.dtype}, not numbers")
     except MemoryError:
@@ -207,7 +215,7 @@ def _on_grid(path: Path, z: Floats, pixel: tuple[float, float]) -> MeasuredMap:
     for step in pixel:
         if not LEAST <= step <= MOST:
             raise UnreadableFile(f"{path.name}: points {step:g} m apart; 1 nm to 10 mm are believed")
-    known = np.isfinite(z)
+    known = np.abs(z) < FARTHEST
     if not known.any():
         raise UnreadableFile(f"{path.name}: no point of it was measured")
     row, column = np.nonzero(known)
@@ -219,6 +227,9 @@ def _on_grid(path: Path, z: Floats, pixel: tuple[float, float]) -> MeasuredMap:
 
 
 # -- scales next to a picture
+
+LARGEST = 1e300
+"""Number of a JSON file above which it is no scale."""
 
 KEYS = ("pixel_U", "z_step_U", "z_at_0_U", "z_at_1_U", "invalid", "row_0")
 """Keys of the JSON file; U is a length unit."""
@@ -273,7 +284,9 @@ def _scale(beside: Path, name: str, value: Any) -> tuple[str, Any]:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and isfinite(value)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    return abs(value) < LARGEST and isfinite(value)
 
 
 def _scaled(path: Path, values: Floats, told: Mapping[str, Any]) -> tuple[Floats, tuple[float, float]]:
@@ -284,7 +297,8 @@ def _scaled(path: Path, values: Floats, told: Mapping[str, Any]) -> tuple[Floats
     if told["invalid"] is not None:
         z[values == told["invalid"]] = np.nan
     first = 1.0 if "z_at_1" in told else 0.0
-    z = told.get("z_at_1", told.get("z_at_0", 0.0)) + (z - first) * told["z_step"]
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite was not measured
+        z = told.get("z_at_1", told.get("z_at_0", 0.0)) + (z - first) * told["z_step"]
     return (z[::-1] if told["row_0"] == "top" else z), told["pixel"]
 
 
@@ -318,35 +332,66 @@ def _cloud(path: Path, unit: str | None) -> MeasuredMap:
     if not tables:
         raise UnreadableFile(f"{path.name}: no points")
     points = np.concatenate(tables).T * float(LENGTHS[word])
-    points = points[:, np.isfinite(points).all(axis=0)]
+    points = points[:, (np.abs(points) < [[np.inf], [np.inf], [FARTHEST]]).all(axis=0)]
     low, high = points[:2].min(axis=1, initial=np.inf), points[:2].max(axis=1, initial=-np.inf)
     if points.shape[1] < 16 or not (high > low).all():
         raise UnreadableFile(f"{path.name}: {points.shape[1]} points that span no area")
     return cloud_map(path.name, points)
 
 
-def _mesh(path: Path, unit: str | None) -> MeasuredMap:
-    """Read the corners of a mesh that is a surface seen from outside: all its facets face one way."""
+def _mesh(path: Path, unit: str | None, side: Literal["front", "back"] | None) -> MeasuredMap:
+    """Read the corners of a mesh: of a surface seen from outside, or of one side of a closed part."""
     from clacad.formats.mesh.readers import read_mesh
 
     mesh = read_mesh(path)
     metres = mesh.unit if unit is None else float(LENGTHS[unit])
     if metres is None:
         raise BadRequest(f"{path.name}: its unit is not known; state it, such as --unit mm")
-    corners = np.concatenate(list(mesh.chunks())).astype(np.float64)
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    return surface_map(path.name, np.concatenate(list(mesh.chunks())) * metres, side)
+
+
+def surface_map(name: str, corners: Floats, side: Literal["front", "back"] | None) -> MeasuredMap:
+    """Map of the corners of facets (k, 3, 3), metres, that face one way; else of those on one side of a part.
+
+    A front is seen from outside turned about x from how it lies in the sheet.
+    """
+    corners = corners.astype(np.float64)
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = normal[:, 2]
     up = float(area[area > 0.0].sum()) / max(float(np.abs(area).sum()), 1e-300)
+    down = up < 0.5
     if ONE_WAY < up < 1.0 - ONE_WAY:
-        raise UnreadableFile(
-            f"{path.name}: {up:.0%} of it faces up: it is no surface of one side; without scales and sides it"
-            " is judged as a whole part"
-        )
-    points = np.unique(corners.reshape(-1, 3), axis=0).T * metres
-    if up < 0.5:  # a front as it lies in the sheet: seen from outside it is turned about x
+        if side is None:
+            raise UnreadableFile(
+                f"{name}: {up:.0%} of it faces up: it is no surface of one side; state its side:"
+                f" --side {name}=front, or leave out scales, to judge it as a whole part"
+            )
+        down = side == "front"
+        outward = np.where(down, -area, area) > STEEP * np.linalg.norm(normal, axis=1)
+        corners = _outermost(corners[outward], -1.0 if down else 1.0)
+    points = np.unique(corners.reshape(-1, 3), axis=0).T
+    if down:
         points = points * np.array([[1.0], [-1.0], [-1.0]])
     if points.shape[1] < 16 or not np.isfinite(points).all():
-        raise UnreadableFile(f"{path.name}: {points.shape[1]} points that span no area")
-    return cloud_map(path.name, points)
+        raise UnreadableFile(f"{name}: {points.shape[1]} points that span no area")
+    return cloud_map(name, points)
+
+
+STEEP = 0.3
+"""Least cosine of the slope of a facet that is part of a side, not of a wall."""
+
+
+def _outermost(corners: Floats, sign: float) -> Floats:
+    """Facets (k, 3, 3) that no other lies above (`sign` 1) or below, in squares of a few facets."""
+    if not len(corners):
+        return corners
+    middle = corners.mean(axis=1)
+    size = 3.0 * float(np.sqrt(np.prod(np.ptp(corners[..., :2], axis=(0, 1))) / len(corners)))
+    square = np.floor((middle[:, :2] - middle[:, :2].min(axis=0)) / max(size, 1e-300)).astype(np.int64)
+    _, which = np.unique(square[:, 0] * (square[:, 1].max() + 1) + square[:, 1], return_inverse=True)
+    top = np.full(which.max() + 1, -np.inf)
+    np.maximum.at(top, which, sign * middle[:, 2])
+    return np.asarray(corners[sign * middle[:, 2] >= top[which] - 2.0 * size])
 
 
 ONE_WAY = 0.01
@@ -360,9 +405,10 @@ def cloud_map(name: str, points: Floats) -> MeasuredMap:
     regular = all(step > 0.0 for step in steps)
     if not regular:
         steps = [float(np.sqrt(np.prod(high - low) / points.shape[1]))] * 2
-    count = np.rint((high - low) / steps).astype(np.int64) + 1
-    if not all(LEAST <= step <= MOST for step in steps) or count.prod() > 64 * points.shape[1]:
+    cells = (high - low) / np.clip(steps, LEAST, MOST)
+    if not all(LEAST <= step <= MOST for step in steps) or cells.prod() > 64 * points.shape[1]:
         raise UnreadableFile(f"{name}: {points.shape[1]} points over {high - low} m are no map")
+    count = np.rint(cells).astype(np.int64) + 1
     middle = low + 0.5 * count * steps
     centred = np.concatenate([points[:2] - middle[:, None], points[2:]])
     return MeasuredMap(name, centred, (steps[0], steps[1]), (int(count[1]), int(count[0])), regular)

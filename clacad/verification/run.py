@@ -18,6 +18,7 @@ from clacad.base.text import mrad_text
 from clacad.base.types import Progress
 from clacad.checks.check import Check, accepted
 from clacad.checks.file_kinds import FAITHFUL_RMS, FILE_TARGET
+from clacad.exporting.roles import Role
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
 from clacad.sheet.window import Window
@@ -31,7 +32,9 @@ from clacad.verification.verification_report import Report
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.judging.delivery import Delivery, Subject
+    from clacad.judging.judge_files import FileReport
     from clacad.measuring.measure import Maps
+    from clacad.measuring.measured import Measured
 
 
 def verify(
@@ -157,9 +160,26 @@ def _with_files(
     if any(f.subject.is_mesh for f in judged):
         convergence, check = judge_convergence(report.design, report.window, progress)
         checks = [*checks, check]
-    return replace(
+    found = replace(
         report, checks=(*report.checks, *checks), convergence=convergence, files=tuple(judged), delivered=True
     )
+    return replace(found, measured=_measured_scan(report.design, judged))
+
+
+def _measured_scan(design: Design, judged: Sequence[FileReport]) -> Measured | None:
+    """The lenslets of a part by the one mesh of a scan, as by its maps; None where they cannot be fitted."""
+    if len(judged) != 1 or not judged[0].subject.is_mesh or judged[0].judged_as is not Role.SCAN:
+        return None
+    pose = None if judged[0].mesh is None else judged[0].mesh.facts.get("pose")
+    if pose is None:
+        return None
+    from clacad.measuring.measure import measure_mesh
+    from clacad.storage.errors import NotPossible, UnreadableFile
+
+    try:
+        return measure_mesh(design, judged[0].subject.path, pose)
+    except (UnreadableFile, NotPossible):
+        return None
 
 
 def judge_window(design: Design, window: Window, facts: Feasibility, rays: int) -> tuple[list[Check], Optics]:

@@ -61,7 +61,7 @@ class Report(Tabular):
     delivered : bool
         Whether files were delivered for judgement; a delivery without any file does not pass.
     measured : Measured or None
-        The part by its height maps.
+        The part by its height maps, or by the mesh of a scan.
     made : JudgedAsMade or None
         The sheet as its process makes it.
     """
@@ -114,7 +114,7 @@ class Report(Tabular):
     @cached_property
     def verdicts(self) -> tuple[FileVerdict, ...]:
         """Verdict on each file, in the order of judgement."""
-        part = () if self.measured is None else (_measured_verdict(self.measured),)
+        part = () if self.measured is None or self.files else (_measured_verdict(self.measured),)
         return (*(_verdict_of(one, self.checks) for one in self.files), *part)
 
     @cached_property

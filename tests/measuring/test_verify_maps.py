@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 from measuring.made_parts import Made
+from oracle.plain_mesh import write_stl
 
 from clacad.cli import main
 from clacad.design import load
-from clacad.measuring.measure import Maps, maps_of
+from clacad.measuring.measure import Maps, fitted_sides, maps_of
 from clacad.measuring.read_map import read_map
-from clacad.storage.errors import BadRequest
+from clacad.measuring.sides import sides_of
+from clacad.mesh import tessellate
+from clacad.prescription.prescribe import prescribe
+from clacad.storage.errors import BadRequest, UnreadableFile
 
 DESIGN = str(Path(__file__).parents[2] / "designs" / "window-100mm.toml")
 SPHERE = 2.468143364277402
@@ -99,6 +104,64 @@ def test_sides_follow_from_names_unless_stated():
     ):
         with pytest.raises(BadRequest, match="front"):
             maps_of(paths, sides, Maps())
+
+
+def closed_part(folder: Path, quads: int) -> Path:
+    """A part of 6 × 6 cells as a closed mesh, alone in its folder."""
+    sheet = prescribe(load(DESIGN).with_cells((6, 6)))
+    mesh = tessellate(sheet, quads=quads)
+    write_stl(folder / "part.stl", np.asarray(mesh.vertices)[np.asarray(mesh.triangles)])
+    return folder / "part.stl"
+
+
+@pytest.mark.parametrize("side", ["front", "back"])
+def test_one_side_of_a_closed_part_has_the_lenslets_of_its_map(tmp_path, side):
+    """Heights of the map by the sphere of the design; the mesh has chords in their place."""
+    path = closed_part(tmp_path, 24)
+    exact = Made(noise=0.0, size=220, spikes=0, dirt=0, lost=0.0)
+    mesh, made = (
+        read_map(path, "mm", side),
+        read_map(exact.write(tmp_path / f"{side}.xyz")),
+    )
+    window = prescribe(load(DESIGN))
+    rows = []
+    for one in (mesh, made):
+        found, _, _ = fitted_sides(load(DESIGN), window, Maps(z_scale=1.0).of(side, one))
+        rows.append(found[side].lenslets)
+    assert 1.0 / rows[0].values[:, 3] == pytest.approx(SPHERE, rel=1e-4)
+    assert rows[1].values[:, 3].mean() == pytest.approx(rows[0].values[:, 3].mean(), rel=1e-4)
+    assert rows[1].values[:, 4].mean() == pytest.approx(rows[0].values[:, 4].mean(), abs=0.01)
+    assert rows[1].pitch == pytest.approx(rows[0].pitch, rel=1e-6)
+    with pytest.raises(UnreadableFile, match="state its side: --side part.stl=front"):
+        read_map(path, "mm")
+
+
+@pytest.mark.slow
+def test_the_mesh_of_a_scan_has_the_table_of_its_lenslets(tmp_path, capsys):
+    path = closed_part(tmp_path, 16)
+    status, found = verified(capsys, "--set", "lattice.count=[6,6]", "--files", str(path))
+    assert (status, found["word"]) == (0, "passed as scan")
+    part = found["measured"]
+    assert set(part["sides"]) == {"front", "back"}
+    assert part["sides"]["front"]["radius"] == pytest.approx(SPHERE, rel=2e-4)
+    assert len(part["lenslets"]) == 2 * 36
+
+
+@pytest.mark.parametrize(("factor", "side"), [(1.0, "front"), (2.0, "back")])
+def test_a_map_without_a_name_is_of_the_side_with_its_curvature_and_is_read_once(
+    tmp_path, monkeypatch, factor, side
+):
+    """Slopes become t/eta: at eta = -2 lens 2 has twice the focal length of lens 1."""
+    design = load(DESIGN).replace("law.eta", [-2.0, -2.0])
+    front, back = (1.0 / one.lenslet[3] for one in sides_of(prescribe(design), 1.0).values())
+    assert back == pytest.approx(2.0 * front, rel=1e-3)
+    made = Made(radius=factor * front, noise=5e-6, size=150).write(tmp_path / "first.xyz")
+    home, read = importlib.import_module("clacad.measuring.measure"), []
+    monkeypatch.setattr(home, "read_map", lambda *words: read.append(words) or read_map(*words))
+    maps = maps_of([made], {}, Maps(z_scale="1 +- 1e-3"))
+    assert not maps.named
+    assert set(maps.measured(design, lambda *_: None).sides) == {side}
+    assert len(read) == 1
 
 
 @pytest.mark.slow
