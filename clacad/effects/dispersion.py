@@ -1,8 +1,9 @@
 """Dispersion: each line of the light has its own refractive index.
 
 *Model.* One pass per wavelength of the scene's or the design's spectrum (`Setting.wavelengths` and `weights`,
-read by `clacad.design.sections.lines_of`), n(λ) of each body's material; no index outside the material's data.
-In a trace, one row per ray, rays without a wavelength take the lines in turn, each as often as its weight.
+read by `clacad.design.sections.lines_of`), n(λ) of each body's material; no index outside the material's
+data. In a trace, one row per ray, rays without a wavelength take the lines in turn, each as often as its
+weight.
 *Law.* A constant index changes nothing, and light of the design wavelength is unchanged.
 *On when* there is more than one line and the growth of the largest direction error exceeds the angle that
 matters: per lens axis ε |1 − m|/|m| (x − u)/s, x and u where the light crosses lens 1 and 2, ε = max |n(λ) −

@@ -311,7 +311,7 @@ def _best_faces(
     Least mean square error over the lines. Both meridians have the same numbers where they have the same law.
 
     media : Indices before, between and behind the faces in each line.
-    weights : of each line; asked : η, separation, pitch and field, as of `_own_light`
+    weights : of each line; `asked` : η, separation, pitch and field, as of `_own_light`
     """
     light, (eta, _, pitch, _) = _own_light(*asked), asked
     if light is None:

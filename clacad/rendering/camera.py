@@ -99,7 +99,7 @@ def _daylight(spectrum: Mapping[float, float]) -> tuple[SpectralLine, ...]:
 
 
 SEPARATE = 100.0
-"""Condition of the three colours in some lines up to which they are told from one another."""
+"""Condition of the three colours in some lines up to which they are distinguished."""
 
 UNSEEN = 1e-6
 """Response of the eye below which lines are shown grey; that of visible lines is of order 100."""
