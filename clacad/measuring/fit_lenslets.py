@@ -509,7 +509,7 @@ def _least_squares(slopes: Floats, weight: Floats, mean: Floats) -> tuple[Floats
     size = np.sqrt(np.mean(slopes**2, axis=0))
     scaled = slopes / np.where(size > 0.0, size, 1.0)
     weighted = (scaled * weight[:, None]).T
-    best = np.linalg.lstsq(weighted @ scaled, weighted, rcond=1e-13)[0]
+    best = np.linalg.pinv(weighted @ scaled, rcond=1e-13, hermitian=True) @ weighted
     best = best / np.where(size > 0.0, size, 1.0)[:, None]
     return best @ mean, best
 
