@@ -85,6 +85,7 @@ def _raised(one: StackedSheet) -> Window:
         bodies=tuple(
             replace(body, front=raised(body.front), back=raised(body.back)) for body in one.window.bodies
         ),
+        z_range=(one.window.z_range[0] + up, one.window.z_range[1] + up),
     )
 
 
