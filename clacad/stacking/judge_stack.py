@@ -79,14 +79,8 @@ def _same_bytes(path: Path, entry: Mapping[str, Any]) -> list[Check]:
         return []
     found = file_hash(path)
     same = found == entry["sha256"]
-    sentence = (
-        "its bytes are those that were written" if same else "its bytes are not those that were written"
-    )
-    return [
-        INTEGRITY.check(
-            "pass" if same else "fail", sentence, found[:16], str(entry["sha256"])[:16], subject=path.name
-        )
-    ]
+    stated, sentence = str(entry["sha256"])[:16], f"its bytes are {'' if same else 'not '}those that were written"
+    return [INTEGRITY.check("pass" if same else "fail", sentence, found[:16], stated, subject=path.name)]
 
 
 def _judge_faces(
