@@ -370,8 +370,78 @@ def _draw_members(ax: Any) -> None:
     ax.legend(frameon=False, title="eta of sheets a and b")
 
 
+def cloak_family(folder: Path) -> None:
+    """Cloaks with a hidden ring of 15 mm over the two free numbers of three sheets: map of the share, best members."""
+    from matplotlib import pyplot
+
+    import clacad as package
+    from clacad.advice.stack_designs import traced, wanted_matrix
+    from clacad.advice.wanted_stack import Wanted, stack_of_three
+
+    keys = {"pair.separation": 5.0, "pair.material": "EpoCore", "pair.form": "biconvex", "pair.surface": "biconic",
+            "pair.conic": [-2.5, -2.5], "pair.thickness": [0.15, 0.28], "pair.field_lens": True}  # fmt: skip
+    design = package.load(ROOT / "designs" / "window-100mm.toml").replace(keys)
+    wish = Wanted("cloak", wanted_matrix("cloak", 1.0, 500.0), 5.0, 0.5, (485 / 3, 970 / 3), 25.0,
+                  float(np.radians(1.0)), 1.2, 15.0, True)  # fmt: skip
+    limits = ("ring", "radius of lens 2", "nearer than", "no power")
+    one, other = np.arange(-1.5, -0.695, 0.01), np.arange(-1.4, -0.695, 0.01)
+    found = [[stack_of_three(wish, a, b) for a in one] for b in other]
+    share = np.array([[np.nan if member.binding else member.share for member in row] for row in found])
+    why = [
+        [next((k for k, w in enumerate(limits) if w in member.binding), -1) for member in row]
+        for row in found
+    ]
+    figure, ax = axes(6.0, 4.4)
+    shown = ax.pcolormesh(one, other, share, cmap="viridis", vmin=0.0, vmax=1.0, rasterized=True)
+    for k, (colour, words) in enumerate(
+        (("#d9d9d9", "ring below 15 mm"), ("#b07aa1", "too steep at the rim"), ("#e0a96d", "light meets too near"),
+         ("#9fc3d9", "sheet c without power"))
+    ):  # fmt: skip
+        where = np.array(why) == k
+        if where.any():
+            ax.contourf(one, other, where, levels=[0.5, 1.5], colors=[colour])
+            ax.plot([], [], "s", color=colour, label=words)
+    ax.plot(*CLOAK, "o", color="#d02020", label="designs/scenes/cloak.toml")
+    ax.set(xlabel="eta of sheet a", ylabel="eta of sheet b")
+    figure.colorbar(shown, label="share, closed form, both axes")
+    ax.legend(loc="lower left")
+    figure.savefig(folder / "cloak-family.svg", metadata={"Date": None})
+    pyplot.close(figure)
+    rows = []
+    for eta in (-0.9, -1.0, -1.04, -1.08, -1.2, -1.4):
+        line = [stack_of_three(wish, eta, b) for b in np.arange(-1.3, -0.7, 0.005)]
+        best = max((member for member in line if not member.binding), key=lambda member: member.share)
+        brighter = [member for member in line if member.binding and member.share > best.share]
+        rays = traced(
+            [design, design, design.replace({"pair.form": "plano", "pair.field_lens": False})], wish, best
+        )
+        limit = (
+            min(brighter, key=lambda m: abs(m.sheets[1].eta - best.sheets[1].eta)).binding
+            if brighter
+            else "loss"
+        )
+        numbers = (*(f"{sheet.eta:.3f}" for sheet in best.sheets), f"{best.share:.3f}", f"{rays.by_rays:.3f}",
+                   f"{1.0 / best.loss**2:.3f}", f"{best.ring:.2f}")  # fmt: skip
+        rows.append([*numbers, limit])
+    head = [
+        "eta of a",
+        "b",
+        "c",
+        "share, closed form",
+        "thin rays",
+        "1/∏|η|² beyond 1",
+        "ring / mm",
+        "what binds",
+    ]
+    (folder / "cloak-family.md").write_text(_table(head, rows), encoding="utf-8")
+
+
+CLOAK = (-1.2, -0.94)
+"""η of the first two sheets of `designs/scenes/cloak.toml`."""
+
+
 FIGURES: Mapping[str, Callable[[Path], None]] = {
     "accuracy": accuracy, "stability": stability, "effects": effects, "daylight": daylight, "cloak": cloak,
     "corrected": corrected,
-    "stack_share": stack_share,
+    "stack_share": stack_share, "cloak_family": cloak_family,
 }  # fmt: skip

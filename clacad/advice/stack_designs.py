@@ -100,10 +100,17 @@ def wanted_matrix(kind: str, value: float, length: float, planes: Pair2 = (0.0, 
 
 
 def sheet_keys(wanted: Wanted, one: WantedSheet) -> dict[str, Any]:
-    """Keys of a design that make it one of the solved sheets."""
+    """Keys of a design that make it one of the solved sheets.
+
+    A sheet lit by light that converges to a point behind it is given by the growth of its offset: most of its
+    cells pass no light parallel to the axis, of which f_image would be the image.
+    """
     cells = 2 * ceil(one.reach / wanted.pitch)
     keys: dict[str, Any] = {LAW.eta: [one.eta, one.eta], LATTICE.count: [cells, cells]}
-    if isfinite(one.f_image):
+    if isfinite(one.f_image) and isfinite(one.viewer) and one.viewer > 0.0:
+        growth = one.eta / one.f_image
+        keys[f"{LAW.varying}.gradient"] = [[growth, 0.0], [0.0, growth]]
+    elif isfinite(one.f_image):
         keys[f"{LAW.varying}.f_image"] = one.f_image
     if isfinite(one.viewer):
         keys[LATTICE.aperture] = {"point": [0.0, 0.0, one.viewer]}
@@ -142,7 +149,7 @@ def solve(
     Of three sheets the closed form gives the few best, and rays through thin lenses choose one of them.
     """
     found: dict[int, Solved | NoSuchStack] = {}
-    for count, family in ((2, _two), (3, _three)):
+    for count, family in ((2, lambda two: [solve_two(two)]), (3, _three)):
         progress(f"trace stacks of {count} sheets", 0.4 * (count - 2))
         try:
             found[count] = _brightest(bases, wanted, family(wanted))
@@ -150,11 +157,6 @@ def solve(
             found[count] = refusal
     good = [one for one in found.values() if isinstance(one, Solved)]
     return found, max(good, key=lambda one: one.by_rays or 0.0, default=None)
-
-
-def _two(wanted: Wanted) -> list[Solved]:
-    """The one stack of two sheets. Raises NoSuchStack."""
-    return [solve_two(wanted)]
 
 
 def _three(wanted: Wanted) -> list[Solved]:

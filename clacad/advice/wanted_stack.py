@@ -11,15 +11,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from math import atan, inf, tan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Pair2
 from clacad.prescription.aimed_cells import NEAREST, STEEPEST
-
-if TYPE_CHECKING:
-    pass
 
 NEAR_ONE = 0.04
 """Least distance of η from 1, where a pair has no power."""

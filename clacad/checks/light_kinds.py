@@ -180,12 +180,12 @@ PUPIL = CheckKind("pupil", "CL317", "of separation", where="surfaces, parabasal"
 )
 
 FIELD_THROUGHPUT = CheckKind(
-    "field_throughput", "CL318", "of closed form", relation=">=", where="surfaces", rule=_FIXED, own_rays=True
+    "field_throughput", "CL318", "of closed form", relation=">=", where="surfaces", own_rays=True
 ).explained(
     means="Share of the light that keeps to its partner at 0.9 of the full field, along both lens axes, "
     "over that of thin lenses.",
     why="The field lens is there for the light of the rim of the field.",
-    formula="ALIVE/launched ÷ min(1, 1/|η|), both axes; 0.95 at least",
+    formula="ALIVE/launched ÷ min(1, 1/|η|), both axes; limit check.field_throughput (0.95)",
     do="A conic of the field faces (pair.field.conic), a smaller ratio of pitch to separation.",
 )
 

@@ -111,6 +111,12 @@ class CheckSpec:
         0.9,
         later=True,
     )
+    field_throughput: float = key(
+        _PART,
+        "least share of thin lenses that a pair with a field lens passes at 0.9 of its full field",
+        0.95,
+        later=True,
+    )
     scan_seam: float = key(
         _PART,
         "largest share of the light through a made or measured part that may meet a seam, or a place without"

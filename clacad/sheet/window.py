@@ -509,13 +509,16 @@ def changed_faces(bodies: tuple[Body, ...], change: Callable[[Face], Face]) -> t
 
 
 def lifted(window: Window, z: float) -> Window:
-    """The window with its faces and lands a length `z` higher."""
+    """The window with its faces, lands and heights a length `z` higher."""
 
     def up(face: Face) -> Face:
         x, y, height = face.vertex
         return replace(face, vertex=(x, y, height + z), land=None if face.land is None else face.land + z)
 
-    return window if z == 0.0 else replace(window, bodies=changed_faces(window.bodies, up))
+    if z == 0.0:
+        return window
+    low, high = window.z_range
+    return replace(window, bodies=changed_faces(window.bodies, up), z_range=(low + z, high + z))
 
 
 def side_outline(window: Window) -> Outline | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Progress
 from clacad.base.units import millimetres
-from clacad.checks.check import Check, default, other, passed, wrong
+from clacad.checks.check import Check, State, default, other, passed, wrong
 from clacad.checks.file_kinds import INTEGRITY, SHAPE, STACK_LIGHT, unreadable
 from clacad.exporting.formats.registry import longest_wait, reading_worker
 from clacad.exporting.roles import Role
@@ -79,14 +79,9 @@ def _same_bytes(path: Path, entry: Mapping[str, Any]) -> list[Check]:
         return []
     found = file_hash(path)
     same = found == entry["sha256"]
-    sentence = (
-        "its bytes are those that were written" if same else "its bytes are not those that were written"
-    )
-    return [
-        INTEGRITY.check(
-            "pass" if same else "fail", sentence, found[:16], str(entry["sha256"])[:16], subject=path.name
-        )
-    ]
+    state: State = "pass" if same else "fail"
+    sentence = f"its bytes are {'' if same else 'not '}those that were written"
+    return [INTEGRITY.check(state, sentence, found[:16], str(entry["sha256"])[:16], subject=path.name)]
 
 
 def _judge_faces(

@@ -381,7 +381,7 @@ def measure_image(tracer: StackTracer, rays: int, field: float, distance: float)
     distance : length. Of the point before array 1 of the first sheet.
     """
     stack = tracer.stack
-    first, last = stack.sheets[0], stack.sheets[-1]
+    last = stack.sheets[-1]
     place, slope = cone(stack, sobol(rays, 2), field, distance)
     found = tracer(started(stack, place, slope))
     alive = found.fate == Fate.ALIVE
@@ -397,7 +397,6 @@ def measure_image(tracer: StackTracer, rays: int, field: float, distance: float)
         way = found.direction[alive] / np.linalg.norm(found.direction[alive], axis=1)[:, None]
         point, spread = nearest_point(at, way)
         lines = (_waist(at, way, 0), _waist(at, way, 1))
-    assert first.scale == 1.0  # the stack's unit is the first sheet's
     return StackImage(
         distance, (shown[0], shown[1]), (sized[0], sized[1]), lines, point, spread, int(alive.sum())
     )

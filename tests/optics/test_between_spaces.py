@@ -72,12 +72,16 @@ def test_a_point_is_seen_where_the_maps_put_it():
     ("map_1", "map_2", "said"),
     [
         (EYE, np.diag([1.0, 1.0, 0.0]), "map_2 flattens space"),
+        (np.diag([1.0, 1.0, 0.0]), EYE, "map_1 flattens space"),
         (EYE, np.diag([1.0, 2.0, 1.0]), "disagree on the plane of the sheet along y"),
         (EYE, np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), "disagree on the plane of the sheet along x"),
         (np.column_stack([EYE, [0, 0, 5.0]]), EYE, "at its origin, by 5"),
         (EYE, behind([0.1, 0, 1]), "shear space by .* at unchanged depth: eta = 1 with an offset"),
         (EYE, np.eye(2), r"map_2 is no affine map of space"),
         (np.full((3, 3), np.nan), EYE, r"map_1 is no affine map of space"),
+        (EYE, np.full((3, 4), np.inf), r"map_2 is no affine map of space"),
+        (np.diag([2.0, 1.0, 1.0]), EYE, "disagree on the plane of the sheet along x, by 1"),
+        (behind([0, 0, 2]), behind([0, 0.5, 2]), "shear space by .0, -0.5. at unchanged depth: eta = 1"),
     ],
 )
 def test_what_no_sheet_does_is_refused_with_the_condition_that_fails(map_1, map_2, said):

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from povpictures import needs_povray, povray
 
+import clacad
 from clacad.base.sobol import sobol
+from clacad.cli import main
+from clacad.exporting.pov.pov_scene import SCALE, pov_lines
 from clacad.optics.rays import Fate
 from clacad.rendering.picture import view_through
 from clacad.rendering.sheet_passage import stack_of
 from clacad.scene import Scene, load_scene
+from clacad.sheet.stack import stacked
 from clacad.tracing.through_stack import StackTracer, started
 
 FILE = Path(__file__).parents[2] / "designs" / "scenes" / "cloak.toml"
@@ -71,25 +76,54 @@ def test_the_background_is_shifted_by_less_than_half_a_millimetre_and_blurred_by
     assert count.min() > 200
     shift = np.bincount(bins, off, 144) / count
     blur = np.sqrt(np.mean((off - shift[bins]) ** 2))
-    assert alive.mean() == pytest.approx(0.643, abs=0.01)
+    assert alive.mean() == pytest.approx(0.639, abs=0.01)
     assert np.abs(shift).max() <= 0.5
     assert np.sqrt(np.mean(shift**2)) <= 0.2
-    assert blur == pytest.approx(0.98, abs=0.05)
+    assert blur == pytest.approx(1.135, abs=0.03)
+
+
+def test_solids_of_every_sheet_lie_at_its_place_in_the_scene_for_povray():
+    """Every box of a lens encloses it: with the heights of another place, one that is turned over stays empty."""
+    window = clacad.prescribe(
+        clacad.load(FILE.parents[1] / "tilted-biconvex.toml", ["lattice.count = [3, 3]"])
+    )
+    stack = stacked([window] * 3, [100.0, 250.0])
+    spans = [[SCALE * z for z in one.span] for one in stack.sheets]
+    heights = re.findall(r"box \{ <[^>]*, ([^,>]+)>, <[^>]*, ([^,>]+)> \}", "\n".join(pov_lines(stack, None)))
+    assert len(heights) >= 2 * 3 * len(window.bodies)
+    room = 0.3 * (spans[0][1] - spans[0][0])
+    for low, high in ((float(a), float(b)) for a, b in heights):
+        assert low < high
+        assert any(first - room <= low and high <= last + room for first, last in spans)
 
 
 @needs_povray
 @pytest.mark.slow
-def test_povray_sees_the_same_rays_through_the_same_faces(tmp_path):
-    """The middle cells of every sheet, one ray a pixel; light that a sheet loses in its walls is left out.
-
-    Sheets a and b with plano lenses of conic -.7: POV-Ray ends with a segmentation fault on rays that meet the
-    hyperboloids of K < -1, and its pictures of the biconvex sheets differ.
-    """
-    own = {f"sheet.{name}.set.pair.form": "plano" for name in "ab"}
-    own |= {f"sheet.{name}.set.pair.conic": [-0.7, -0.7] for name in "ab"}
-    scene = small((8, 8, 10), **own, **{"camera.pixels": [40, 40], "camera.frame": 3.2})
+@pytest.mark.parametrize("ring", [True, False], ids=["ring", "no ring"])
+def test_povray_sees_the_same_rays_through_the_same_faces(ring, tmp_path):
+    """The middle cells of every sheet, one ray a pixel; light that a sheet loses in its walls is left out."""
+    away = {} if ring else {"object.ring.at.2": -4000.0}
+    scene = small((8, 8, 10), **away, **{"camera.pixels": [40, 40], "camera.frame": 3.2})
     found = view_through(scene).light
     off = np.abs(found - povray(scene, tmp_path)).max(axis=-1)
     shines = found.max(axis=-1) > 0.0
     assert shines.mean() > 0.2
     assert (off[shines] <= 3 / 255).mean() >= 0.94
+
+
+@pytest.mark.parametrize(
+    "size",
+    [pytest.param(8, marks=pytest.mark.slow), pytest.param(None, marks=pytest.mark.long)],
+    ids=["8 cells a side", "full size"],
+)
+@pytest.mark.parametrize("name", ["a", "b", "c"])
+def test_each_sheet_is_a_master(name, size, tmp_path, monkeypatch, capsys):
+    """By the commands: STEP is written, read back and judged with the design; the exit status of both is 0."""
+    monkeypatch.chdir(tmp_path)
+    design = dict(zip("abc", load_scene(FILE).designs(), strict=True))[name]
+    if size is not None:
+        design = design.replace("lattice.count", [size, size])
+    Path("sheet.toml").write_text(design.toml, encoding="utf-8")
+    assert main(["export", "sheet.toml", "-o", "made", "--format", "step"]) == 0
+    assert main(["verify", "sheet.toml", "--files", "made", "--role", "master"]) == 0
+    assert "passed as optical master" in capsys.readouterr().out

@@ -104,11 +104,46 @@ def test_matrices_and_images_are_those_of_the_reference(case):
         assert nearer == pytest.approx(float(case["image_moves_towards_viewer_by"]), rel=tolerance)
 
 
-def test_a_growing_offset_makes_a_lens_of_a_sheet_whose_focus_is_that_of_the_smooth_law():
-    """T' = (t − κ x)/η sends parallel light to the axis at x = s t' below array 2: by hand, with exact fractions."""
-    sheet = chief_matrices.sheet(-0.5, 10.0, kappa=0.01)
-    np.testing.assert_array_equal(sheet.matrix, [[1.0, 10.0], [0.02, -2.0]])
-    assert sheet.determinant == pytest.approx(-2.0 - 0.2)
+PENCIL = {
+    # (eta, s, kappa, delta) of each sheet; gaps; A, B, C, D; place and slope of the ray that enters at 0, 0
+    "a sheet that focuses": ([(-0.5, 10, 0.01, 0)], [], (1, 10, 0.02, -2), (0, 0)),
+    "negative space": ([(-1, 6, 0, 0)] * 2, [40], (1, -40, 0, 1), (0, 0)),
+    "compressed space": ([(2, 8, 0, 0), (0.5, 8, 0, 0)], [20], (1, 22, 0, 1), (0, 0)),
+    "stretched space": ([(0.5, 8, 0, 0), (2, 8, 0, 0)], [20], (1, 64, 0, 1), (0, 0)),
+    "offsets add up": ([(-0.5, 10, 0, 0.01)] * 2, [30], (1, -70, 0, 4), (0.8, -0.02)),
+    "imaging pair": ([(-1, 10, -0.02, 0)] * 2, [90], (-1, -90, 0.036, 2.6), (0, 0)),
+    "relay, parallel light stays parallel": (
+        [(-0.5, 10, -0.02, 0), (-0.5, 10, 0.04, 0)], [50], (-1.4, -110, 0, -3.2), (0, 0)
+    ),
+    "telescope": ([(-1, 0, 0.05, 0), (0.5, 0, 1 / 60, 0)], [40], (3, -40, 0, -2 / 3), (0, 0)),
+    "cloak of three": (
+        [(-2, 0, -1 / 25, 0), (1 / 3, 0, 2 / 75, 0), (-1.5, 0, 1 / 50, 0)], [100, 100], (1, 200, 0, 1), (0, 0)
+    ),
+    "three sheets of three lengths": (
+        [(-1, 1, 0.1, 0), (0.5, 2, 0, 0), (-2, 3, 0.2, 0)], [10, 20], (6.8, -57, 0.52, -4.1), (0, 0)
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", PENCIL.values(), ids=PENCIL)
+def test_ten_stacks_have_the_matrices_worked_out_by_pencil(case):
+    """Two rays, (1, 0) and (0, 1), followed through t' = (t - delta - kappa x)/eta and x' = x + s t."""
+    sheets, gaps, (a, b, c, d), shift = case
+    made = [chief_matrices.sheet(eta, s, delta, kappa) for eta, s, kappa, delta in sheets]
+    row = [made[0]]
+    for gap, one in zip(gaps, made[1:], strict=True):
+        row += [chief_matrices.space(gap), one]
+    found = chief_matrices.in_a_row(row)
+    np.testing.assert_allclose(found.matrix, [[a, b], [c, d]], rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(found.shift, shift, atol=1e-14)
+
+
+def test_an_imaging_pair_with_kappa_images_by_pencil():
+    """100 before (-1, -90; .036, 2.6): B is -190, D is 6.2, so the image is 950/31 behind, 16/155 as large."""
+    one = chief_matrices.sheet(-1.0, 10.0, kappa=-0.02)
+    pair = chief_matrices.in_a_row([one, chief_matrices.space(90.0), one])
+    assert pair.determinant == pytest.approx(0.64, rel=1e-12)  # of each sheet (1 + s kappa)/eta = -.8
+    assert pair.image(100.0) == pytest.approx((950 / 31, 0.0, 16 / 155), rel=1e-12)
 
 
 @pytest.mark.parametrize(("etas", "gap"), [((-1.0, -1.0), 100.0), ((0.5, -0.25), 37.0)])

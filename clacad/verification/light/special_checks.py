@@ -56,9 +56,8 @@ if TYPE_CHECKING:
     from clacad.optics.material.material import Material
 
 
-FOCUS, MOVED, SHARE, LAW = 0.01, 0.02, 0.95, 1.2
-"""Limits: face from focus over f1; du/dt over s; share over that of thin lenses; rms error over that without
-a field lens."""
+FOCUS, MOVED, LAW = 0.01, 0.02, 1.2
+"""Limits: face from focus over f1; du/dt over s; rms error over that without a field lens."""
 
 PART = 0.9
 """Part of the full field at which the share is measured."""
@@ -78,7 +77,7 @@ def field_lens_checks(lit: Lit) -> Iterator[Check]:
             yield check(lit.window)
         except ValueError as error:
             yield kind.not_run(str(error), limit=limit, where=kind.where)
-    yield _throughput(lit.window)
+    yield _throughput(lit.window, lit.design.check.field_throughput)
     yield _law(lit.design, lit.window, lit.optics.main.lit)
 
 
@@ -139,7 +138,7 @@ def _pupil(window: Window) -> Check:
     return PUPIL.judge(max(moved), MOVED, sentence)
 
 
-def _throughput(window: Window) -> Check:
+def _throughput(window: Window, limit: float) -> Check:
     """Share of light at 0.9 of the full field, left, right, up and down, compared with thin lenses."""
     cells = thin_cells(window)
     turn = window.thin.rotation
@@ -165,7 +164,7 @@ def _throughput(window: Window) -> Check:
     )
     value = worst if worst < np.inf else np.nan
     text = f"4 directions, {FIELD_LENS_RAYS} Sobol rays each over the whole cell"
-    return FIELD_THROUGHPUT.judge(value, SHARE, sentence, bundle=text)
+    return FIELD_THROUGHPUT.judge(value, limit, sentence, bundle=text)
 
 
 def _law(design: Design, window: Window, main: Bundle) -> Check:
