@@ -18,7 +18,8 @@ from clacad.optics.fit import LOST, AskedLight, law_residuals, minimise
 from clacad.optimising.aim import RAYS, Aim, kept_light, measured
 from clacad.optimising.face_search import LOST as BEYOND
 from clacad.optimising.face_search import TIE, FaceSearch, Walls, penalties
-from clacad.optimising.unknowns import chosen, given_design, with_faces
+from clacad.optimising.unknowns import chosen, with_faces
+from clacad.prescription.bodies import given_design
 from clacad.sheet.like_cell import interfaces
 
 DESIGNS = Path(__file__).parents[2] / "designs"
