@@ -410,12 +410,8 @@ def places(side: Side) -> tuple[Floats, Floats]:
 def _designed(side: Side) -> Floats:
     """Command of the design itself; NaN outside the cell."""
     u, v = places(side)
-    tile = side.lattice.tile()
-    edge = np.roll(tile, -1, axis=0) - tile
-    across = (u[:, None] - tile[:, 0]) * edge[:, 1] - (v[:, None] - tile[:, 1]) * edge[:, 0]
-    room = 1e-9 * float(np.abs(edge).max()) ** 2
-    z = np.where((across <= room).all(axis=1), side.outward(u, v), np.nan)
-    return z.reshape(NODES, NODES)
+    inside = (side.lattice.past_borders(u, v) <= 1e-9 * side.lattice.circumradius).all(axis=0)
+    return np.where(inside, side.outward(u, v), np.nan).reshape(NODES, NODES)
 
 
 def _surface(heights: Floats, side: Side) -> Any:
