@@ -41,7 +41,7 @@ WIDE: Final = radians(5.0)
 
 FORMS: Final = {
     "two-plates-10deg": (2, 0.66),
-    "three-plates-10deg": (3, 0.28),
+    "three-plates-10deg": (3, 0.27),
     "three-plates-15deg": (3, 0.44),
 }
 """Starter of each form, in the order of trial; its plates; least rms error that was reached, by searches of
