@@ -81,10 +81,10 @@ def design_of_cell(design: Design, window: Window, cell: tuple[int, int]) -> Des
         return design
     lattice, law, pair = (dict(design.given[name]) for name in ("lattice", "law", "pair"))
     own, aimed = window.law_at(cell), design.lattice.aperture
-    placed = [lattice.pop(key, None) is not None for key in ("pitch_2", "rotation_2")]
+    placed = [lattice.pop(key) for key in tuple(lattice) if key.endswith("_2")]
     sharp = design.pair.focus is not None
     varying = law.pop("varying", None) is not None
-    if varying or sharp or any(placed):
+    if varying or sharp or placed:
         law |= {"eta": [own.eta_x, own.eta_y], "delta": [own.delta_x, own.delta_y]}
     if isinstance(aimed, AimedAt):
         x, y, z = aimed.point
