@@ -90,7 +90,7 @@ def design_of_cell(design: Design, window: Window, cell: tuple[int, int]) -> Des
         x, y, z = aimed.point
         at_x, at_y = window.centres(0, np.array(cell)).tolist()
         lattice["aperture"] = [(x - at_x) / z, (y - at_y) / z]
-    elif sharp or any(placed) or (varying and aimed == "centred"):
+    elif sharp or placed or (varying and aimed == "centred"):
         # the cells of array 2 are centred for the sheet's centre
         slope = aperture_slopes(window, np.array([cell]))[0].tolist()
         moved = window.placements[1].own or window.shifts[1] != (0.0, 0.0)
