@@ -114,7 +114,7 @@ _MADE_SOURCES = (
     "judged defaults: spots of 0.1 micrometres sigma for voxels of 0.2 to 0.5, slices 0.1 micrometres "
     "apart, 2 % of shrinkage in height on a base that is fixed; Ovsianikov et al., Optics Express 17, "
     "2143 (2009) measure a zirconium hybrid whose shrinkage follows the dose and is remarkably low well "
-    "above threshold, and state no figure for other resists",
+    "above threshold; figures of other resists were not looked up",
     "8-bit dose, 256 levels (EPFL Center of MicroNanoTechnology, Grayscale lithography); judged "
     "default: a laser spot of 1 micrometre is 0.4 sigma; depth over dose is not linear and is "
     "calibrated (Micromachines 8, 314 (2017))",
