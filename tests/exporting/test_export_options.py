@@ -265,4 +265,5 @@ def test_the_command_line_and_the_function_ask_for_what_is_declared() -> None:
         )
         if shown.default not in (None, ()):
             assert shown.default == default
-    assert set(typed) - set(OPTIONS) == {"design", "out", "dry_run", "target", "normals", "set"}
+    own = {"design", "out", "dry_run", "target", "normals", "set", "as_made", "process"}
+    assert set(typed) - set(OPTIONS) == own
