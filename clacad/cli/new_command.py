@@ -174,10 +174,18 @@ def _text(found: Proposal, target: Path) -> str:
             *found.reasons,
             "what other sizes would give, each built and traced:",
             table(rows_of(found.trades)),
-            f"wrote {target}: verify will pass ({found.judgements} designs were built and judged)",
+            f"wrote {target}: {_verdict(found)} ({found.judgements} designs were built and judged)",
             "next: " + "\n      ".join(_following(target)),
         ]
     )
+
+
+def _verdict(found: Proposal) -> str:
+    """What verify will say, and the parts of the wish that the design does not fulfil."""
+    from clacad.advice.proposal import not_met
+
+    unmet = [text.partition(":")[0] for text in not_met(found.wish, found.judged)]
+    return "verify will pass" + (f", the wish is not met: {', '.join(unmet)}" if unmet else "")
 
 
 def _following(target: Path) -> tuple[str, str]:
@@ -204,7 +212,7 @@ def _brief(found: Proposal, target: Path) -> Brief:
         ("design", ", ".join(made[1:])),
         *(("not met", text) for text in not_met(found.wish, found.judged)),
     ]
-    checks, word = found.judged.checks, "verify will pass"
+    checks, word = found.judged.checks, _verdict(found)
     head = f"wrote {target}: {word} ({found.judgements} designs were built and judged)"
     return Brief(head, (facts(rows), problems(checks)), _following(target), word, counted(checks))
 

@@ -36,6 +36,7 @@ from clacad.advice.lens_shape import (
 from clacad.advice.proposal import NoSuchSheet, design_for, nearest, not_met
 from clacad.advice.wish import KEYS, Wish, parse_wish, read_wish
 from clacad.advice.wish_search import Search, _rounded, impossible
+from clacad.cli.new_command import _verdict
 from clacad.design import DesignError, load, template
 from clacad.design.body import Outline
 from clacad.prescription.prescribe import prescribe
@@ -189,9 +190,12 @@ def test_a_wished_field_beyond_the_field_of_view_is_reported_as_not_met():
     """A slab of s = 12 p serves slopes up to p/s = 0.083, 4.8 deg from the normal."""
     for field, told in (("4 deg", 0), ("10 deg", 1)):
         wish = read_wish({"eta": -1, "width": 8, "pitch": 0.5, "form": "slab", "field": field})
-        found = list(not_met(wish, judge(built(wish, Variant("slab"), 0.5, 12.0, "x"))))
+        judged = judge(built(wish, Variant("slab"), 0.5, 12.0, "x"))
+        found = list(not_met(wish, judged))
         assert len(found) == told
         assert all(text.startswith("field: 10 deg requested") for text in found)
+        verdict = _verdict(SimpleNamespace(wish=wish, judged=judged))
+        assert verdict == "verify will pass" + told * ", the wish is not met: field"
 
 
 # --- formulas -----------------------------------------------------------------------------------------------
