@@ -82,7 +82,8 @@ def accuracy(folder: Path) -> None:
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]], texts: int = 1) -> str:
     """A table of Markdown; columns after the first `texts` hold numbers."""
     lines = [head, ["---"] * texts + ["---:"] * (len(head) - texts), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+    escaped = ([text.replace("|", "\\|") for text in line] for line in lines)
+    return "\n".join(f"| {' | '.join(line)} |" for line in escaped) + "\n"
 
 
 def _rung(row: Mapping[str, Any]) -> str:
@@ -429,7 +430,7 @@ def cloak_family(folder: Path) -> None:
         "c",
         "share, closed form",
         "thin rays",
-        "1/∏|η|² beyond 1",
+        "most by 1/∏|η|²",
         "ring / mm",
         "what binds",
     ]
