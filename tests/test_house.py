@@ -11,8 +11,8 @@ from package_source import syntax
 
 MOST = {
     "modules": 505,
-    "modules imported by one other only": 82,
-    "modules under 60 lines": 13,
+    "modules imported by one other only": 75,
+    "modules under 60 lines": 10,
     "lines over 110 characters": 0,
     "# fmt: skip": 0,
     "function lines, most, compiled": 70,
