@@ -506,11 +506,12 @@ def shrunk(form: Floats, u_form: Floats) -> Floats:
 
 def _least_squares(slopes: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floats]:
     """Weighted least squares: the solution (7,), and the matrix (7, k) that gives it of heights (k,)."""
-    size = np.sqrt(np.mean(slopes**2, axis=0))
-    scaled = slopes / np.where(size > 0.0, size, 1.0)
+    size = np.abs(slopes).max(axis=0)  # not their rms: squares of a hostile map's slopes may overflow
+    size[size == 0.0] = 1.0
+    scaled = slopes / size
     weighted = (scaled * weight[:, None]).T
     best = np.linalg.pinv(weighted @ scaled, rcond=1e-13, hermitian=True) @ weighted
-    best = best / np.where(size > 0.0, size, 1.0)[:, None]
+    best = best / size[:, None]
     return best @ mean, best
 
 
