@@ -181,7 +181,7 @@ def _text(found: Proposal, target: Path) -> str:
 
 
 def _verdict(found: Proposal) -> str:
-    """What verify will say, and the parts of the wish that the design does not fulfil."""
+    """Outcome of verify, and the parts of the wish that the design does not fulfil."""
     from clacad.advice.proposal import not_met
 
     unmet = [text.partition(":")[0] for text in not_met(found.wish, found.judged)]
