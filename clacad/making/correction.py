@@ -106,9 +106,14 @@ class Correction:
         return f"{nano * self.rms:.3g} nm rms of form taken off (known to {nano * self.doubt:.2g} nm)"
 
     @cached_property
+    def _window(self) -> Window:
+        """The sheet as designed."""
+        return prescribe(self.design)
+
+    @cached_property
     def _side(self) -> Side:
         """The side as designed."""
-        return _side(prescribe(self.design), self.side, self.design.unit_m)
+        return _side(self._window, self.side, self.design.unit_m)
 
     @cached_property
     def face(self) -> dict[str, float]:
@@ -155,7 +160,7 @@ class Correction:
 
         Raises NotPossible: Cells of their own, tilted lenses, or faces that no design file lists.
         """
-        window = prescribe(self.design)
+        window = self._window
         if not (window.uniform and all(face.untilted for face in window.faces)):
             raise NotPossible(
                 f"no next design: {self.design.name} has lenses of its own in each cell, or tilted ones; the"
@@ -163,7 +168,7 @@ class Correction:
             )
         found = [face.surface for face in window.faces]
         rest = np.full((NODES, NODES), np.nan)
-        for one in (*others, self):
+        for one in (*others, self):  # this side last: what is left is its own
             side = one._side
             (u, v), heights = places(side), one.heights.ravel()
             held = np.isfinite(heights)
@@ -171,8 +176,8 @@ class Correction:
             z = -side.face.side * heights[held]
             fitted, rise, _ = nearest_polynomial(side.face.surface, x, y, z)
             found[side.number] = fitted
-            rest = np.full((NODES, NODES), np.nan)
-            rest.ravel()[held] = heights[held] + side.face.side * (fitted.sag(x, y) + rise)
+            left = heights[held] + side.face.side * (fitted.sag(x, y) + rise)
+        rest.ravel()[held] = left
         offset = window.faces[-1].vertex[:2]
         try:
             faces = tuple(face_spec(one) for one in found)
@@ -245,9 +250,9 @@ class Correction:
     def _other(self, folder: str | os.PathLike[str]) -> list[Correction]:
         """Correction of the other side in a folder, of the same design."""
         other = OTHER[self.side]
-        side = _side(prescribe(self.design), other, self.design.unit_m)
         if not (Path(folder) / _names(other)[0]).exists():
             return []
+        side = _side(self._window, other, self.design.unit_m)
         return [_previous(self.design, other, folder, side)]
 
 
