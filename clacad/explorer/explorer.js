@@ -246,10 +246,11 @@
     for (let k = 0; k < bytes.length; k += 8192) text += String.fromCharCode.apply(null, bytes.subarray(k, k + 8192));
     return btoa(text);
   }
-  let waiting = false, resting = 0, coarser = 1;
+  let frame = 0, resting = 0, coarser = 1;
   const one = new Uint8Array(4);
   function drawNow(kind) {
-    waiting = false;
+    window.cancelAnimationFrame(frame); // a frame that comes late does not replace the fine picture
+    frame = 0;
     const began = performance.now(), [wide, tall] = webgl.fit(canvas, kind === "fine" ? 1 : coarser);
     render(kind, wide, tall, 0);
     if (kind === "view") {
@@ -263,7 +264,7 @@
     if (!precise) return;
     page.dataset.state = "changed";
     window.clearTimeout(resting);
-    if (!waiting) { waiting = true; window.requestAnimationFrame(function () { drawNow("view"); }); }
+    if (!frame) frame = window.requestAnimationFrame(function () { drawNow("view"); });
     resting = window.setTimeout(function () { drawNow("fine"); }, REST);
   }
 

@@ -53,6 +53,18 @@ def test_nothing_is_asked_for_and_nothing_complains_from_disk(page):
     assert page.browser.requests() == [page.file.resolve().as_uri()]
 
 
+def test_a_frame_that_comes_late_does_not_replace_the_fine_picture(page):
+    """Where the browser is busy the fine picture is drawn first: frames are held back here, and come at once."""
+    page.browser.run(
+        "window.held = []; window.requestAnimationFrame = f => held.push(f);"
+        "window.cancelAnimationFrame = n => { if (n) held[n - 1] = () => {}; }; explorer.set({ eta_x: -1.1 })"
+    )
+    assert page.browser.run("held.length") == 1
+    page.browser.wait(f"{STATE} === 'fine'")
+    page.browser.run("held.forEach(f => f())")
+    assert page.browser.run(STATE) == "fine"
+
+
 MOVED = {
     "paper-a-covered": {"eta_x": -0.6, "delta_y": 0.01, "pitch": 0.004, "azimuth": 4.0, "object": 0.8},
     "hexagonal": {"phi": 20.0, "eta_x": -1.7, "eye": 800.0},
