@@ -249,7 +249,10 @@ def write_solved(
     """
     name = relpath(source, out.parent).replace("\\", "/")
     if name.startswith("../../"):
-        raise BadRequest(f"-o {out}: a scene lies in the folder of {source} or in a folder there")
+        near = source.parent / out.name
+        raise BadRequest(
+            f"-o {out}: a scene lies in the folder of {source} or in a folder there; try -o {near}"
+        )
     solved = corrected(bases, wanted, solved)
     lines = ["format = 1", f"name = {value_text(out.stem)}", f"unit = {value_text(bases[0].unit)}"]
     stack = placed(designs_of(bases, wanted, solved), solved.gaps)

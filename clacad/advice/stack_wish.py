@@ -25,6 +25,9 @@ MORE = ("ring", "object", "at")
 ETAS = ("eta1", "eta2")
 """Numbers that may be added, both: η of the first two of three sheets."""
 
+PRODUCT = "product of the sheets"
+"""How a share is found that was not traced."""
+
 
 @dataclass(frozen=True)
 class StackWish:
@@ -82,11 +85,11 @@ def _number(key: str, text: str, meaning: str) -> float:
 
 def solved_text(solved: Solved, wanted: Wanted, unit: str) -> str:
     """Share, loss, field and waist of solved sheets."""
-    share = solved.share if solved.by_rays is None else solved.by_rays
+    share, how = (solved.share, PRODUCT) if solved.by_rays is None else (solved.by_rays, "by rays")
     return (
         f"{len(solved.sheets)} sheets pass {percent_text(share)} of the light within "
-        f"± {degrees(wanted.field):.3g} deg over {2.0 * wanted.radius:.4g} {unit} (thin lenses), none beyond "
-        f"± {degrees(solved.field):.3g} deg; narrowest half width {solved.waist:.4g} {unit}"
+        f"± {degrees(wanted.field):.3g} deg over {2.0 * wanted.radius:.4g} {unit} (thin lenses, {how}), none "
+        f"beyond ± {degrees(solved.field):.3g} deg; narrowest half width {solved.waist:.4g} {unit}"
     )
 
 
@@ -107,7 +110,7 @@ def rows_of(count: int, solved: Solved | NoSuchStack, unit: str) -> list[tuple[s
     rows = [
         (
             f"{count} sheets",
-            f"{percent_text(solved.share)} of the light; |eta| alone leaves {least}; the light is"
+            f"{percent_text(solved.share)} of the light, {PRODUCT}; |eta| alone leaves {least}; the light is"
             f" {solved.waist:.4g} {unit} from the axis at its waist",
         )
     ]
