@@ -160,7 +160,7 @@ def _sheet(judged: Judged) -> str:
 
 def _law(judged: Judged) -> str:
     """Law, and errors of the light with their limits."""
-    from clacad.checks.light_kinds import LAW_BIAS, LAW_RMS, LAW_WHITE
+    from clacad.checks.light_kinds import LAW_BIAS, LAW_RMS, LAW_WHITE, TEMPERATURE
 
     given, errors = judged.design.to_dict()["law"], []
     for kind, name in ((LAW_RMS, "rms"), (LAW_BIAS, "bias")):
@@ -171,7 +171,12 @@ def _law(judged: Judged) -> str:
             errors.append(f"{name} {mrad_text(check.value, 3)} (limit {limit}){cell}")
     white = LAW_WHITE.first(judged.checks)
     if white is not None and isinstance(white.value, float):
-        errors.append(f"in white light {mrad_text(white.value, 3)}")
+        floor = white.detail["floor"]
+        least = f" (floor of one material {mrad_text(floor, 3, unit='')})" if floor == floor else ""
+        errors.append(f"in white light {mrad_text(white.value, 3)}{least}")
+    warm = TEMPERATURE.first(judged.checks)
+    if warm is not None and isinstance(warm.value, float):
+        errors.append(f"± {warm.detail['rows'][-1]['kelvin']:g} K change {mrad_text(warm.value, 3)}")
     return "; ".join([*(f"{name} {pair_text(given[name])}" for name in ("eta", "delta")), *errors])
 
 
