@@ -8,6 +8,7 @@ import json
 import os
 import re
 import sys
+import tempfile
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -236,6 +237,18 @@ def _draw_plans(path: Path, states: Mapping[str, Mapping[str, int]]) -> None:
     figure.savefig(path, metadata={"Date": None})
 
 
+def delivery(folder: Path) -> None:
+    """What `verify` prints of a delivery that passes, and of a mesh too coarse to pass that is called a master."""
+    with tempfile.TemporaryDirectory() as made:
+        export = ("export", "designs/slab.toml", "-o", made, "--cells", "8x8", "--format")
+        verify = ("verify", "designs/slab.toml", "--files", made, "--cells", "8x8")
+        clacad(*export, "step")
+        (folder / "delivery.txt").write_text(clacad(*verify).replace(made, "exports/slab"), encoding="utf-8")
+        clacad(*export, "step,stl", "--quads", "8", "--overwrite")
+        text = clacad(*verify, "--role", "stl=master").replace(made, "exports/slab")
+        (folder / "coarse.txt").write_text(text, encoding="utf-8")
+
+
 def daylight(folder: Path) -> None:
     """White light through the starters for daylight and for wide fields, next to a slab of one material."""
     from clacad.advice import judge
@@ -443,6 +456,6 @@ CLOAK = (-1.2, -0.94)
 
 FIGURES: Mapping[str, Callable[[Path], None]] = {
     "accuracy": accuracy, "stability": stability, "effects": effects, "daylight": daylight, "cloak": cloak,
-    "corrected": corrected,
+    "corrected": corrected, "delivery": delivery,
     "stack_share": stack_share, "cloak_family": cloak_family,
 }  # fmt: skip

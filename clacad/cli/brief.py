@@ -61,7 +61,8 @@ class Brief:
         tail = f"{self.counts and f': {self.counts}'} ({ALL})"
         if len(tail) > width - 2 * NARROWEST:
             return _folded(self.foot + tail, width, 2)
-        return [_folded(self.foot, width - len(tail), 1)[0] + tail]
+        word = re.sub(r" \(\d[^()]*\)$", "", self.foot)  # its number of checks: `counts` has them
+        return [_folded(word, width - len(tail), 1)[0] + tail]
 
 
 def facts(rows: Iterable[Sequence[str]]) -> list[Entry]:
@@ -153,7 +154,7 @@ def _folded(line: str, width: int, most: int, *, whole: bool = False) -> list[st
     if len(made) > most:
         made = made[:most]
         while _width(made[-1]) > width - 4:
-            made[-1] = made[-1][:-1]
+            made[-1] = made[-1].rstrip().rpartition(" ")[0].rstrip() or made[-1][:-1]
         made[-1] = f"{made[-1].rstrip()} ..."
     return made
 
