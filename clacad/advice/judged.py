@@ -174,7 +174,7 @@ def fault(check: Check) -> str:
     value, limit, unit, _ = shown(check.value, check.limit, check.relation, check.unit, check.state)
     return (
         f"{check.id}: {value}, and the limit is {check.relation} {limit} {unit}".rstrip()
-        + f" ({check.source}); {check.sentence}"
+        + f" ({check.source.partition(': ')[0]}); {check.sentence}"
     )
 
 

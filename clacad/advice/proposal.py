@@ -27,7 +27,7 @@ from clacad.design.body import Outline
 from clacad.design.sections import ROOT, SECTIONS
 
 FEW = 2
-"""Largest number of wishes that are named."""
+"""Largest number of wishes, and of failing checks, that are told in full."""
 
 MOST_WORK = 1500
 """Work after which no further wish is tried, in shares of thin lenses."""
@@ -59,8 +59,10 @@ def binding(search: Search) -> Iterator[str]:
             f"  the nearest ({best.variant}, pitch {best.pitch.value:g} mm, separation"
             f" {best.separation:g} mm):"
         )
-        checks = best.judged.failing or best.judged.tight
-        yield from (f"    {fault(check)}" for check in checks)
+        checks = sorted(best.judged.failing or best.judged.tight, key=lambda c: c.source != "design file")
+        yield from (f"    {fault(check)}" for check in checks[:FEW])
+        if checks[FEW:]:
+            yield f"    and {', '.join(dict.fromkeys(check.id for check in checks[FEW:]))}"
     yield from (f"  {reason}" for reason in list(dict.fromkeys(search.refused))[:REASONS])
 
 
