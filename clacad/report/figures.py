@@ -158,6 +158,7 @@ def transfer(report: Report) -> str:
             bottom.plot(curve.slope, left, color=ACCENT, lw=1.2)
             bottom.axhline(0.0, color=INK, lw=0.8)
             bottom.set_xlabel(f"incident slope, lens {name}")
+            bottom.locator_params(axis="x", nbins=5)
             bottom.set_ylabel("traced − law (10⁻³)")
             _shade_field(report, (top, bottom), curve)
         axes[0][0].legend(loc="best")

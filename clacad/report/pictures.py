@@ -21,7 +21,6 @@ from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.base.untrusted_files import BUDGETS, read_regular
 from clacad.design.cell_table import table_path
-from clacad.design.sections import AimedAt
 from clacad.report.figures import ray_fan
 from clacad.sheet.vignetting import aperture_slope, half_field, thin_cells
 from clacad.sheet.window import Window
@@ -267,10 +266,13 @@ def look(design: Design, window: Window, progress: Progress) -> Look:
             compiled=False,
             progress=lambda _, part: progress("looking through the sheet", part or 0.0),
         )
+    from clacad.verification.light.viewed import states_viewer
+
     mm = millimetres(window.unit)
     said = (
         f"a chess knight {place.height * mm:.4g} mm high on a chequered floor, {behind * mm:.4g} mm behind"
-        f" the sheet; the eye is {-place.eye[2] * mm:.4g} mm before it"
+        f" the sheet; the eye is {-place.eye[2] * mm:.4g} mm before it, "
+        + ("as stated" if states_viewer(design) else "in the middle of the field of view")
     )
     how = (
         f"rung {through.passage.rung}; shown beyond refraction:"
@@ -325,11 +327,12 @@ def _copy_table(design: Design, folder: Path) -> None:
 def _in_field(design: Design, window: Window) -> tuple[_Viewpoint, float]:
     """The viewpoint of the page's large pictures, and the figure's distance behind the sheet.
 
-    The eye is where the sheet is aimed at, else in the middle of the field of view.
+    The eye is where the design states it, else in the middle of the field of view.
     """
-    wide, aperture = _width(window), design.lattice.aperture
-    if isinstance(aperture, AimedAt) and aperture.point[2] < 0.0:
-        x, y, z = aperture.point
+    from clacad.verification.light.viewed import states_viewer, viewer_of
+
+    wide, (x, y, z) = _width(window), viewer_of(design)
+    if states_viewer(design) and z < window.z_range[0] - max(window.lattice.pitch):
         eye, slope = -z, (x / z, y / z)
     else:
         half = min(half_field(thin_cells(window)))

@@ -66,6 +66,11 @@ class Viewed:
     alive: Floats
 
 
+def states_viewer(design: Design) -> bool:
+    """Whether the design states where the eye is: in [check] viewer, or by the aim of its cells."""
+    return design.check.viewer is not None or isinstance(design.lattice.aperture, AimedAt)
+
+
 def viewer_of(design: Design) -> tuple[float, float, float]:
     """Position of the eye: as in [check] viewer, on the axis; else the cells' aim point; else 1 m before."""
     distance, _ = design.viewing_places
