@@ -96,11 +96,14 @@ def _content(design: Design, found: Steered, kind: str) -> str | bytes:
     return csv_text(found) if kind == ".csv" else picture(found, "png" if kind == ".png" else "svg")
 
 
-HEAD = ("travel", "slope x, y", "paraxial", "spread", "share", "beam", "order", "efficiency", "on order")
+HEAD = ("travel/{}", "slope/mrad", "paraxial", "spread", "share", "beam/p", "order", "efficiency", "on order")
 
 
-FOCUS = ("travel", "convergence 1/m", *HEAD[3:6])
+FOCUS = (HEAD[0], "convergence, 1/m", *HEAD[3:6])
 """Columns of a travel along the normal, which steers no beam."""
+
+LOST = "-"
+"""What is printed where no light passes its own lenses."""
 
 
 def _rows(found: Steered) -> list[tuple[str, ...]]:
@@ -108,8 +111,14 @@ def _rows(found: Steered) -> list[tuple[str, ...]]:
     if found.axis == "z":
         cells = [_row(one) for one in found.positions]
         powers = [f"{one.power:.4g}" for one in found.positions]
-        return [FOCUS, *((row[0], power, *row[3:6]) for row, power in zip(cells, powers, strict=True))]
-    return [HEAD, *map(_row, found.positions)]
+        rows = [(row[0], power, *row[3:6]) for row, power in zip(cells, powers, strict=True)]
+    else:
+        rows = list(map(_row, found.positions))
+    head = FOCUS if found.axis == "z" else HEAD
+    return [
+        (head[0].format(found.unit), *head[1:]),
+        *(tuple(c.replace("nan", LOST) for c in row) for row in rows),
+    ]
 
 
 def _row(one: Position) -> tuple[str, ...]:
@@ -133,7 +142,7 @@ def _row(one: Position) -> tuple[str, ...]:
 
 def _verdict(found: Steered) -> str:
     """Reach, spread and share of the whole scan."""
-    both = (found.positions[0], found.positions[-1])
+    both, lost = (found.lit[0], found.lit[-1]), len(found.positions) - len(found.lit)
     if found.axis == "z":
         low, high = sorted(one.power for one in both)
         reach = f"convergence {low:.4g} to {high:.4g} 1/m"
@@ -143,6 +152,7 @@ def _verdict(found: Steered) -> str:
     return (
         f"{found.name}: {reach}, spread up to {mrad_text(found.worst_spread)}, share at least"
         f" {percent_text(found.least_share)}"
+        + (f"; no light leaves through its own lenses at {lost} of the positions" if lost else "")
     )
 
 

@@ -199,9 +199,14 @@ class Steered(Tabular):
         return 1 if self.axis == "y" else 0
 
     @property
+    def lit(self) -> tuple[Position, ...]:
+        """Positions at which light leaves through its own lenses."""
+        return tuple(one for one in self.positions if one.share > 0.0)
+
+    @property
     def worst_spread(self) -> float:
         """Largest spread, radians."""
-        return max(one.spread for one in self.positions)
+        return max(one.spread for one in self.lit)
 
     @property
     def least_share(self) -> float:
@@ -228,21 +233,21 @@ class Steered(Tabular):
     @property
     def cross_talk(self) -> float:
         """Largest change of the slope across the travel; along xy, of the difference of both slopes."""
-        slopes = np.array([one.slopes for one in self.positions])
+        slopes = np.array([one.slopes for one in self.lit])
         across = slopes[:, 0] - slopes[:, 1] if self.axis == "xy" else slopes[:, 1 - self.along]
         return float(np.ptp(across))
 
     @property
     def wobble(self) -> Pair2:
         """Largest wobble of all positions, in the middle of the sheet and at its rim; NaN without a tilt."""
-        both = np.array([(one.wobble, one.wobble_at_rim) for one in self.positions])
+        both = np.array([(one.wobble, one.wobble_at_rim) for one in self.lit])
         return xy(both.max(axis=0))
 
     @property
     def _curve(self) -> tuple[Floats, Floats]:
         """Travels (n,) and slopes (n,) along the travel."""
-        travel = np.array([one.travel for one in self.positions])
-        return travel, np.array([one.slopes[self.along] for one in self.positions])
+        travel = np.array([one.travel for one in self.lit])
+        return travel, np.array([one.slopes[self.along] for one in self.lit])
 
     def to_columns(self) -> dict[str, Any]:
         """One row for each position."""
@@ -385,7 +390,8 @@ def steer(
     Raises
     ------
     CannotMove
-        An unknown axis, no travel, or plates that cannot move so.
+        An unknown axis, no travel, or plates that cannot move so; light that leaves through its own lenses at
+        fewer than two positions.
     DesignError, NoSuchLens
         The design cannot be built, or is a non-uniform sheet.
 
@@ -412,7 +418,14 @@ def steer(
         report("moving plates", (number + 1) / scan.positions)
     step = xy(np.abs(_order_directions(window, wavelength)).max(axis=0))
     about = (design.name, design.sha256, design.unit, scan.axis, moves, wavelength, step)
-    return Steered(*about, tuple(found), scan.tilt)
+    steered = Steered(*about, tuple(found), scan.tilt)
+    if len(steered.lit) < 2:
+        most = max(window.lattice.pitch) / 2.0
+        raise CannotMove(
+            f"travel {scan.travel:g} {design.unit}: light leaves through its own lenses at fewer than two positions;"
+            f" try {most:g} {design.unit}, half a pitch"
+        )
+    return steered
 
 
 def _position(window: Window, travel: float, rays: int, wavelength: float, *, waves: bool) -> Position:

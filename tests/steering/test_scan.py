@@ -58,6 +58,26 @@ def test_scanners_reach_their_figures_over_the_whole_travel(kind, limit):
     assert np.abs(fit - [one.slopes[1] for one in found.positions]).max() < 1e-5
 
 
+def test_positions_beyond_the_cell_are_left_out_of_the_curve_and_a_travel_of_none_is_refused(
+    capsys, tmp_path
+):
+    """Reference: the scan of the lit positions alone."""
+    design = starter("scanner-f5")
+    whole, part = (
+        steer(design, t, positions=n, waves=False, progress=silent) for t, n in ((0.08, 5), (0.04, 3))
+    )
+    assert [one.travel for one in whole.lit] == [one.travel for one in part.positions]
+    assert whole.odd_terms == pytest.approx(part.odd_terms)
+    assert (whole.least_share, whole.worst_spread) == (0.0, part.worst_spread)
+    with pytest.raises(CannotMove, match="try 0.05 mm, half a pitch"):
+        steer(design, 50.0, waves=False, progress=silent)
+    (tmp_path / "s.toml").write_text(template("scanner-f5", "s"))
+    assert main(["steer", str(tmp_path / "s.toml"), "--travel", "80 um"]) == 0
+    told = capsys.readouterr().out
+    assert "at 4 of the positions" in told
+    assert "nan" not in told
+
+
 def test_the_paraxial_slope_is_that_of_matrices_and_the_limit_of_traced_light():
     design = starter("scanner-f5")
     window, move = prescribe(design), np.array([1e-4, -2e-4, 0.0])
