@@ -71,7 +71,7 @@ def test_positions_beyond_the_cell_are_left_out_of_the_curve_and_a_travel_of_non
     assert (whole.least_share, whole.worst_spread) == (0.0, part.worst_spread)
     with pytest.raises(CannotMove, match="try 0.05 mm, half a pitch"):
         steer(design, 50.0, waves=False, progress=silent)
-    (tmp_path / "s.toml").write_text(template("scanner-f5", "s"))
+    (tmp_path / "s.toml").write_text(template("s", "scanner-f5"))
     assert main(["steer", str(tmp_path / "s.toml"), "--travel", "80 um"]) == 0
     told = capsys.readouterr().out
     assert "at 4 of the positions" in told
