@@ -201,11 +201,12 @@ def _brief(study: Study) -> Brief:
         if measure
     ]
     halves = {one.key: one for one in study.parameters if one.half}
-    gains = [(gain, key) for key in halves if (gain := yield_if_tighter(study, key, TIGHTER)) is not None]
+    now = study.good().mean() if count else 1.0
+    gains = [(gain, key) for key in halves if (gain := yield_if_tighter(study, key, TIGHTER) or 0.0) > now]
     for gain, key in sorted(gains, key=lambda pair: -pair[0])[:3]:
         half, unit = halves[key].half, halves[key].unit
-        now, then = (" ".join(filter(None, plainly(value, unit, 3))) for value in (half, TIGHTER * half))
-        errors.append(("tighten", key, f"from {now} to {then}: yield {percent_text(gain, 1, fixed=True)}"))
+        wide, less = (" ".join(filter(None, plainly(value, unit, 3))) for value in (half, TIGHTER * half))
+        errors.append(("tighten", key, f"from {wide} to {less}: yield {percent_text(gain, 1, fixed=True)}"))
     head = f"{study.name}: {_yield(study)}" if count else f"{study.name}: no sheets drawn"
     return Brief(head, (facts(rows), facts(errors)), (), _yield(study))
 

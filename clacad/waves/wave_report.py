@@ -195,10 +195,10 @@ HEAD = (
     "",
     "share to the partner",
     "Strehl ratio",
-    "middle off the law",
-    "full width, half max.",
-    "through the peak",
-    "half of the light in",
+    "middle off the law, mrad",
+    "full width, half max., mrad",
+    "through the peak, mrad",
+    "half of the light in, mrad",
 )
 """Head of `rows`; the last four columns in mrad, along lens x and lens y."""
 

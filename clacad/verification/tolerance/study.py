@@ -328,7 +328,8 @@ class NoTolerances(ValueError):
 
 NO_TOLERANCES = (
     "the design states no tolerances: give it a [tolerances] table, such as\n"
-    '  [tolerances]\n  decentre = "5 um"\n  rotation = "0.1 mrad"\n  tilt = "0.1 mrad"\n  radius = 0.005'
+    '  [tolerances]\n  decentre = "5 um"\n  rotation = "0.1 mrad"\n  tilt = "0.1 mrad"\n  radius = 0.005\n'
+    '  or class = "moulding-precision" (clacad explain tolerances)'
 )
 
 
