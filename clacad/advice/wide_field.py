@@ -27,7 +27,7 @@ from clacad.advice.wish import Wish, angle_text, mrad_value, wavelength_text
 from clacad.advice.wish_search import Tried
 from clacad.base.text import mrad_text
 from clacad.base.types import Progress
-from clacad.checks.light_kinds import LAW_RMS, RESIDUAL
+from clacad.checks.light_kinds import LAW_RMS, RESIDUAL, THROUGHPUT
 from clacad.design import Design, DesignError
 from clacad.design.sections import CHECK
 from clacad.design.starter_designs import template
@@ -112,7 +112,10 @@ class WideSearch:
             one = self._judged(starter, design)
             if not self._serves(one):
                 self.why.append(f"{starter}, scaled to the wish: {self._faults(one)}")
-                for words in FREE:
+                narrow = any(
+                    check.kind is THROUGHPUT for check in one.judged.failing
+                )  # of field: the form's own
+                for words in () if narrow else FREE:
                     if not self._serves(one):
                         one = self._searched(starter, design, words) or one
             if self._serves(one):
@@ -121,15 +124,28 @@ class WideSearch:
                     f" {angle_text(self.wish.field)}"
                 )
                 return one
+        self.why += self._nearest()
         return None
+
+    def _nearest(self) -> Iterator[str]:
+        """A larger error, over the same field, that a design of those tried keeps with every other limit."""
+        for one in sorted(self.tried, key=lambda t: t.judged.measured(LAW_RMS)):
+            reached = round_to(1.05 * one.judged.measured(LAW_RMS), 2, up=True)
+            if reached > self.limit:
+                wider = one.judged.design.replace({CHECK.law_rms: mrad_value(reached)})
+                if judge(wider, judged_only=True).passes:
+                    yield f"error < {mrad_text(reached)} comes true: {one.variant}"
+                    return
 
     def _serves(self, one: Tried) -> bool:
         """Whether verify will pass and the error is within the wish."""
         return one.judged.passes and one.judged.measured(LAW_RMS) <= self.limit
 
     def _faults(self, one: Tried) -> str:
-        """Failing checks with value and limit; the error where it alone is beyond the wish."""
-        failing = [fault(check) for check in one.judged.failing]
+        """The error where it is beyond the wish, and the first failing check; the others by name."""
+        first, *others = one.judged.failing or (None,)
+        failing = [] if first is None or first.kind is LAW_RMS else [fault(first)]
+        failing += [", ".join(dict.fromkeys(check.id for check in others))] if others else []
         rms = one.judged.measured(LAW_RMS)
         if rms > self.limit:
             failing.insert(0, f"{mrad_text(rms)} over the field, {mrad_text(self.limit)} are wished")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from math import radians, tan
 
 import pytest
@@ -51,6 +52,15 @@ def test_the_form_with_fewest_plates_that_is_not_hopeless_is_chosen_and_the_othe
     with pytest.raises(NoSuchSheet, match="hopeless") as refusal:
         design_for(WORDS | {"error": "0.2 mrad"}, progress=silent)
     assert all(form in str(refusal.value) for form in FORMS)
+
+
+@pytest.mark.slow
+def test_the_error_that_a_refusal_calls_possible_is_possible():
+    wish = WORDS | {"field": "15 deg", "error": "3 mrad"}
+    with pytest.raises(NoSuchSheet) as refusal:
+        design_for(wish, progress=silent)
+    (named,) = re.findall(r"error < (\S+ mrad) comes true: three-plates-15deg", str(refusal.value))
+    assert design_for(wish | {"error": named}, progress=silent).judged.passes
 
 
 @pytest.mark.slow
