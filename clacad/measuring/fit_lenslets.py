@@ -176,8 +176,13 @@ class Lenslets:
     def heights(self, number: int, u: Floats, v: Floats, values: Floats | None = None) -> Floats:
         """Form (n,) of one lenslet over places of its cell: the conic, and what the fit leaves of it."""
         fitted, _ = conic(self.values[number] if values is None else values, u, v, slopes=False)
-        s, t = (np.clip(at / half, -1.0, 1.0) for at, half in zip((u, v), self.aperture.half, strict=True))
-        return np.asarray(fitted + legendre(s, t, self.form.shape[1]) @ self.form[number])
+        at = np.stack([u, v]) / self.aperture.half[:, None]
+        near = np.clip(at, -1.0, 1.0)
+        form = self.form[number]
+        rest = legendre(*near, len(form)) @ form
+        out = (near != at).any(axis=0)  # beyond the aperture form goes on with its slope at the border
+        rest[out] = 2.0 * rest[out] - legendre(*(2.0 * near - at)[:, out], len(form)) @ form
+        return np.asarray(fitted + rest)
 
 
 def conic(values: Floats, u: Floats, v: Floats, slopes: bool = True) -> tuple[Floats, Floats]:
