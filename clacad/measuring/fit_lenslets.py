@@ -179,9 +179,10 @@ class Lenslets:
         at = np.stack([u, v]) / self.aperture.half[:, None]
         near = np.clip(at, -1.0, 1.0)
         form = self.form[number]
-        rest = legendre(*near, len(form)) @ form
+        rest = legendre(near[0], near[1], len(form)) @ form
         out = (near != at).any(axis=0)  # beyond the aperture form goes on with its slope at the border
-        rest[out] = 2.0 * rest[out] - legendre(*(2.0 * near - at)[:, out], len(form)) @ form
+        s, t = (2.0 * near - at)[:, out]
+        rest[out] = 2.0 * rest[out] - legendre(s, t, len(form)) @ form
         return np.asarray(fitted + rest)
 
 
