@@ -28,7 +28,8 @@ from clacad.storage.errors import BadRequest
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.judging.registration import Placed
+    from clacad.formats.mesh.file_mesh import FileMesh
+    from clacad.judging.pose_fit import PartPose
     from clacad.sheet.window import Window
 
 Path = str | os.PathLike[str]
@@ -341,23 +342,23 @@ def _by_tilt(
     return scale
 
 
-def measure_mesh(design: Design, name: str, placed: Placed) -> Measured:
+def measure_mesh(design: Design, window: Window, name: str, mesh: FileMesh, pose: PartPose) -> Measured:
     """Measure the sides of a part that its mesh shows: by the corners of the facets of each curved face.
 
-    name : of the file; placed : the part in the sheet frame. Its lengths have one scale along all axes.
+    window : with the cells of the part; name : of the file; pose : brings the mesh into the sheet frame. Its
+        lengths have one scale along all axes.
     Raises as `measure`; NotMeasurable: no side of it has lenslets that can be fitted.
     """
-    window, size = placed.window, placed.factor * placed.pose.scale * design.unit_m
-    corners, kept = [], []
-    between = levels(window)
-    for chunk in placed.mesh.chunks():
-        normal = doubled_normals(chunk)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-        level = np.abs(normal[:, 2]) > STEEP
-        body = body_facing(between, chunk[level].mean(axis=1)[:, 2] * placed.factor, normal[level, 2])
-        corners.append(chunk[level])
-        kept.append(2 * body + (normal[level, 2] > 0.0))
-    number, every = np.concatenate(kept), np.concatenate(corners) * size
+    corners, faces = [], []
+    between, size = levels(window), pose.scale * design.unit_m
+    for chunk in mesh.chunks():
+        placed = pose.onto_design(chunk)
+        normal = doubled_normals(placed) * (-1.0 if pose.mirrored else 1.0)
+        level = np.abs(normal[:, 2]) > STEEP * np.linalg.norm(normal, axis=1)
+        placed, up = placed[level], normal[level, 2]
+        corners.append(placed * size)
+        faces.append(2 * body_facing(between, placed[..., 2].mean(axis=1), up) + (up > 0.0))
+    number, every = np.concatenate(faces), np.concatenate(corners)
     maps: dict[Name, Given] = {}
     for side_name, side in sides_of(window, 1e-3 / design.unit_m).items():
         points = np.unique(every[number == side.number].reshape(-1, 3), axis=0).T

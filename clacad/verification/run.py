@@ -179,7 +179,8 @@ def _measured_scan(design: Design, judged: Sequence[FileReport]) -> Measured | N
     from clacad.storage.errors import NotPossible, UnreadableFile
 
     try:
-        return measure_mesh(design, judged[0].subject.name, placed)
+        mesh, name = placed.file or placed.mesh, judged[0].subject.name
+        return measure_mesh(design, placed.window, name, mesh, placed.pose)
     except (UnreadableFile, NotPossible):
         return None
 
