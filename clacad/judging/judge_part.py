@@ -113,7 +113,7 @@ def judge_placed(asked: Inspection, placed: Placed) -> tuple[list[Check], MeshEv
     else:
         as_written = replace(asked, stated={})
         found, evidence = judge_mesh(as_written, placed.window, placed.mesh, placed.factor, placed.present)
-        evidence = replace(evidence, facts={**evidence.facts, "role": asked.role, "pose": placed.pose})
+        evidence = replace(evidence, facts={**evidence.facts, "role": asked.role, "part": placed})
         failed = {check.kind for check in found if check.state == "fail"}
         if CLOSED in failed and _measured(placed, asked.role):
             found, evidence = judge_returned(asked, placed)
@@ -235,7 +235,7 @@ def judge_returned(asked: Inspection, placed: Placed) -> tuple[list[Check], Mesh
     )
     if dark:
         light = [_with_holes(check, dark, len(cutter.result.cells)) for check in light]
-    facts = {**evidence.facts, "deviation": mapped, "pose": placed.pose, "role": role}
+    facts = {**evidence.facts, "deviation": mapped, "part": placed, "role": role}
     facts["noise"] = float(np.nanmax(evidence.forecast)) if np.isfinite(evidence.forecast).any() else 0.0
     return [closed, _scale(asked, placed), shape, *light], replace(evidence, facts=facts)
 

@@ -70,6 +70,10 @@ class MeshEvidence:
     facts: Mapping[str, Any] = field(default_factory=dict)
     gathered: CellFacets | None = None
 
+    def without_part(self) -> MeshEvidence:
+        """The evidence without the registered mesh itself."""
+        return replace(self, facts={name: one for name, one in self.facts.items() if name != "part"})
+
 
 def checks_of_light(
     asked: Inspection,

@@ -176,8 +176,14 @@ class Lenslets:
     def heights(self, number: int, u: Floats, v: Floats, values: Floats | None = None) -> Floats:
         """Form (n,) of one lenslet over places of its cell: the conic, and what the fit leaves of it."""
         fitted, _ = conic(self.values[number] if values is None else values, u, v, slopes=False)
-        s, t = (np.clip(at / half, -1.0, 1.0) for at, half in zip((u, v), self.aperture.half, strict=True))
-        return np.asarray(fitted + legendre(s, t, self.form.shape[1]) @ self.form[number])
+        at = np.stack([u, v]) / self.aperture.half[:, None]
+        near = np.clip(at, -1.0, 1.0)
+        form = self.form[number]
+        rest = legendre(near[0], near[1], len(form)) @ form
+        out = (near != at).any(axis=0)  # beyond the aperture form goes on with its slope at the border
+        s, t = (2.0 * near - at)[:, out]
+        rest[out] = 2.0 * rest[out] - legendre(s, t, len(form)) @ form
+        return np.asarray(fitted + rest)
 
 
 def conic(values: Floats, u: Floats, v: Floats, slopes: bool = True) -> tuple[Floats, Floats]:
@@ -339,7 +345,7 @@ def _scatter(form: Floats, u_form: Floats) -> float:
 def _empty(
     measured: MeasuredMap, level: Floats, found: Found, aperture: Aperture, seen: Sequence[Step], index: Ints
 ) -> Ints:
-    """Cells (k, 2) whose apertures lie in a map, and which hold no points, or no lenslet but points enough.
+    """Cells (k, 2) whose apertures lie in a map, and which hold few points, or no lenslet but points enough.
 
     seen : Cells with points enough for a fit; index : (m, 2) those of them that are lenslets.
     """
@@ -351,11 +357,19 @@ def _empty(
     flat = np.einsum("ik,mkc->mic", level.T[:2, :2], at)
     every = every[(np.abs(flat) <= size[:, None]).all(axis=(1, 2))]
     x, y = (level @ measured.points)[:2]
-    cell = np.rint(found.index(x, y)).astype(np.int64).T
-    touched = set(map(tuple, np.unique(cell, axis=0).tolist()))
+    cell = np.rint(found.index(x, y)).astype(np.int64)
+    held = np.zeros(2 * reach + np.array([3, 3]), dtype=np.int64)
+    at = np.clip(cell + reach + 1, 0, 2 * reach + 2)
+    np.add.at(held, (at[0], at[1]), 1)
+    points = held[tuple((every + reach + 1).T)]
+    usual = np.median(held[tuple((index + reach + 1).T)])
     lenses, fitted = set(map(tuple, index.tolist())), set(seen)
-    bare = [tuple(one) not in touched or (tuple(one) in fitted - lenses) for one in every.tolist()]
-    return np.asarray(every[np.array(bare, dtype=bool)])
+    bare = np.array([tuple(one) in fitted - lenses for one in every.tolist()], dtype=bool)
+    return np.asarray(every[bare | (points < HALF * usual)])
+
+
+HALF = 0.5
+"""Share of the usual number of points below which a cell holds no lenslet."""
 
 
 def _is_lens(values: Floats, wanted: Floats, aperture: Aperture) -> bool:

@@ -12,20 +12,23 @@ import numpy as np
 
 from clacad.base.interactive import shown_progress
 from clacad.base.types import Progress
+from clacad.base.vectors import doubled_normals
+from clacad.formats.mesh.compare_instances import body_facing, levels
 from clacad.measuring.find_lattice import NotMeasurable
 from clacad.measuring.fit_lenslets import Lenslets, fit_lenslets, plane_of
 from clacad.measuring.form_and_seams import Surface, surface_of
 from clacad.measuring.judge_scan import Scanned, scan_checks
 from clacad.measuring.light_through_form import light_through_form, texture_share
 from clacad.measuring.measured import Measured
-from clacad.measuring.read_map import MeasuredMap, read_map, surface_map
+from clacad.measuring.read_map import STEEP, MeasuredMap, cloud_map, read_map
 from clacad.measuring.scales import HEIGHTS, LATERAL, Scale, Stated, scale_by_tilt, scale_of
-from clacad.measuring.sides import Name, ShownCells, Side, cells_in_map, sides_of
+from clacad.measuring.sides import Name, ShownCells, Side, cells_in_map, placed_cells, sides_of
 from clacad.prescription.prescribe import prescribe
 from clacad.storage.errors import BadRequest
 
 if TYPE_CHECKING:
     from clacad.design import Design
+    from clacad.formats.mesh.file_mesh import FileMesh
     from clacad.judging.pose_fit import PartPose
     from clacad.sheet.window import Window
 
@@ -192,9 +195,13 @@ def measure(
       pass  5 checks
     pass: light through the measured form leaves 0.166 mrad rms from the law ...
     """
-    told = shown_progress(progress)
     maps = Maps(front, back, tilted, z_scale, lateral_scale, unit)
-    window = prescribe(design)
+    return _measured(design, prescribe(design), maps, progress)
+
+
+def _measured(design: Design, window: Window, maps: Maps, progress: Progress | None) -> Measured:
+    """Measure a part of a window by its maps."""
+    told = shown_progress(progress)
     found, heights, lateral = fitted_sides(design, window, maps, progress)
     told("sending light through the measured form", 0.6)
     light = light_through_form(
@@ -296,7 +303,8 @@ def _fitted(
     cells = cells_in_map(side, np.zeros((1, 2), dtype=np.int64), np.zeros((0, 2), dtype=np.int64), stated)
     for _ in range(2):
         lenslets = fit_lenslets(one, side.lattice, side.aperture, cells.numbers)
-        before, cells = cells, cells_in_map(side, lenslets.index, lenslets.empty, stated)
+        before, known = cells, placed_cells(side, one.middle, lenslets.lattice.origin)
+        cells = known or cells_in_map(side, lenslets.index, lenslets.empty, stated)
         if side.alike or cells.first == before.first:
             break
     _, a, b = lenslets.pose
@@ -334,19 +342,35 @@ def _by_tilt(
     return scale
 
 
-def measure_mesh(design: Design, path: Path, pose: PartPose) -> Measured:
-    """Measure both sides of a part by its mesh; `pose` brings the file's numbers into the sheet frame.
+def measure_mesh(design: Design, window: Window, name: str, mesh: FileMesh, pose: PartPose) -> Measured:
+    """Measure the sides of a part that its mesh shows: by the corners of the facets of each curved face.
 
-    Raises as `measure`; NotMeasurable: a side of it has no lenslets that can be fitted.
+    window : with the cells of the part; name : of the file; pose : brings the mesh into the sheet frame. Its
+        lengths have one scale along all axes.
+    Raises as `measure`; NotMeasurable: no side of it has lenslets that can be fitted.
     """
-    from clacad.formats.mesh.readers import read_mesh
+    corners, faces = [], []
+    between, size = levels(window), pose.scale * design.unit_m
+    for chunk in mesh.chunks():
+        placed = pose.onto_design(chunk)
+        normal = doubled_normals(placed) * (-1.0 if pose.mirrored else 1.0)
+        level = np.abs(normal[:, 2]) > STEEP * np.linalg.norm(normal, axis=1)
+        placed, up = placed[level], normal[level, 2]
+        corners.append(placed * size)
+        faces.append(2 * body_facing(between, placed[..., 2].mean(axis=1), up) + (up > 0.0))
+    number, every = np.concatenate(faces), np.concatenate(corners)
+    maps: dict[Name, Given] = {}
+    for side_name, side in sides_of(window, 1e-3 / design.unit_m).items():
+        points = np.unique(every[number == side.number].reshape(-1, 3), axis=0).T
+        if points.shape[1] >= FEWEST_CORNERS:
+            maps[side_name] = cloud_map(name, points * np.array([[*side.signs, -side.face.side]]).T, True)
+    if not maps:
+        raise NotMeasurable(f"{name}: no facets of its curved faces")
+    return _measured(design, window, Maps(maps.get("front"), maps.get("back"), z_scale=1.0), None)
 
-    name, size = os.path.basename(path), pose.scale * design.unit_m
-    corners = np.concatenate([pose.onto_design(chunk) for chunk in read_mesh(path).chunks()]) * size
-    front, back = (surface_map(name, corners, side) for side in SIDES)
-    if front.points.shape == back.points.shape and np.array_equal(front.points, back.points):
-        raise NotMeasurable(f"{name}: it is a surface of one side")
-    return measure(design, front, back)
+
+FEWEST_CORNERS = 100
+"""Fewest corners of facets of a face that is measured."""
 
 
 def maps_of(paths: Sequence[str | os.PathLike[str]], sides: Mapping[str, str], stated: Maps) -> Maps:

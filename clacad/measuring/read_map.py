@@ -10,7 +10,7 @@ import json
 import os
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from math import isfinite
 from pathlib import Path
@@ -57,6 +57,7 @@ class MeasuredMap:
     pixel : (2,) metres. Distance of neighbouring points along x and y.
     shape : (rows, columns) of the grid.
     regular : Whether the points lie on the grid; else they are a cloud, and the grid is one of its density.
+    middle : (2,) metres. Place of its middle in the sheet, along the map's x and y; None where it is unknown.
     """
 
     name: str
@@ -64,6 +65,7 @@ class MeasuredMap:
     pixel: tuple[float, float]
     shape: tuple[int, int]
     regular: bool = True
+    middle: tuple[float, float] | None = None
 
     @property
     def missing(self) -> float:
@@ -74,7 +76,9 @@ class MeasuredMap:
         """The map in other units, or with its scales taken off: x and y over `lateral`, z over `height`."""
         points = self.points / np.array([[lateral], [lateral], [height]])
         pixel = (self.pixel[0] / lateral, self.pixel[1] / lateral)
-        return MeasuredMap(self.name, points, pixel, self.shape, self.regular)
+        x, y = self.middle or (0.0, 0.0)
+        middle = None if self.middle is None else (x / lateral, y / lateral)
+        return replace(self, points=points, pixel=pixel, middle=middle)
 
 
 def is_map(path: Path) -> bool:
@@ -398,8 +402,11 @@ ONE_WAY = 0.01
 """Part of the area of a surface that may face the other way: noise on steep places."""
 
 
-def cloud_map(name: str, points: Floats) -> MeasuredMap:
-    """Map of points (3, n), metres: on their grid where they have one, else of their mean density."""
+def cloud_map(name: str, points: Floats, placed: bool = False) -> MeasuredMap:
+    """Map of points (3, n), metres: on their grid where they have one, else of their mean density.
+
+    placed : Whether their x and y are those of the sheet.
+    """
     low, high = points[:2].min(axis=1), points[:2].max(axis=1)
     steps = [_step(points[k]) for k in (0, 1)]
     regular = all(step > 0.0 for step in steps)
@@ -411,7 +418,9 @@ def cloud_map(name: str, points: Floats) -> MeasuredMap:
     count = np.rint(cells).astype(np.int64) + 1
     middle = low + 0.5 * count * steps
     centred = np.concatenate([points[:2] - middle[:, None], points[2:]])
-    return MeasuredMap(name, centred, (steps[0], steps[1]), (int(count[1]), int(count[0])), regular)
+    shape = int(count[1]), int(count[0])
+    known = (float(middle[0]), float(middle[1])) if placed else None
+    return MeasuredMap(name, centred, (steps[0], steps[1]), shape, regular, known)
 
 
 def _step(values: Floats) -> float:

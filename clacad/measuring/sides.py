@@ -139,7 +139,8 @@ class ShownCells:
 
     side : Side
     first : (2,) ints. Cell of the sheet at step (0, 0) of the map's lattice.
-    known : (for i, for j). "stated", "edge" of the array in the map, or "assumed": the middle of the sheet.
+    known : (for i, for j). "stated", "placed" with the mesh of a part, "edge" of the array in the map, or
+        "assumed": the middle of the sheet.
     """
 
     side: Side
@@ -172,9 +173,7 @@ def cells_in_map(side: Side, index: Ints, empty: Ints, stated: tuple[int, int] |
             raise BadRequest(f"cell {stated[0]},{stated[1]}: the sheet has no such cell")
         return ShownCells(side, stated, ("stated", "stated"))
     middle = np.array(central_cell(side.window))
-    none = np.zeros((0, 2), dtype=np.int64)
-    some = len(empty) >= FEWEST_EMPTY
-    fitting = _fitting(lattice, side.cell(index), side.cell(empty)) if some else none
+    fitting = _fitting(lattice, side.cell(index), side.cell(empty))
     if not len(fitting):
         return ShownCells(side, (int(middle[0]), int(middle[1])))
     first = fitting[np.argmin(np.abs(fitting - middle).sum(axis=1))]
@@ -183,22 +182,43 @@ def cells_in_map(side: Side, index: Ints, empty: Ints, stated: tuple[int, int] |
     return ShownCells(side, (int(first[0]), int(first[1])), (known[0], known[1]))
 
 
+def placed_cells(side: Side, middle: tuple[float, float] | None, origin: Floats) -> ShownCells | None:
+    """Which cells a map shows whose middle (2,) in the sheet is known, along the map's x and y; else None.
+
+    origin : (2,) lengths. Centre of step (0, 0) of the map's lattice, from the middle of the map.
+    """
+    if middle is None:
+        return None
+    x, y = (np.array(middle) + origin) * side.signs
+    [cell], _, _ = side.window.locate(side.array, np.array([x]), np.array([y]))
+    return ShownCells(side, (int(cell[0]), int(cell[1])), ("placed", "placed"))
+
+
 FEWEST_EMPTY = 2
 """Fewest places without a lenslet that are an edge of an array; a single one may be damage."""
 
+DAMAGED = 0.2
+"""Largest share of the places without a lenslet that may be damage next to an edge, or next to a hole."""
+
 
 def _fitting(lattice: Lattice, held: Ints, empty: Ints) -> Ints:
-    """Displacements (n, 2) by which cells `held` are kept ones of a lattice, and none of `empty`."""
+    """Displacements (n, 2) by which cells `held` are kept ones of a lattice, and fewest of `empty`.
+
+    Edges, corners and holes of the array are where it keeps no cells. None where they leave too many
+    unexplained.
+    """
     kept = lattice.cells()
     low, high = kept.min(axis=0) - held.max(axis=0), kept.max(axis=0) - held.min(axis=0)
     moves = np.stack(
         [one.ravel() for one in np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)))],
         axis=1,
     )
-    for cells, wanted in ((held, True), (empty, False)):
-        for cell in cells:
-            moves = moves[lattice.contains(moves + cell) == wanted]
-    return moves
+    for cell in held:
+        moves = moves[lattice.contains(moves + cell)]
+    damaged = np.sum([lattice.contains(moves + cell) for cell in empty], axis=0, dtype=np.int64)
+    best = damaged.min(initial=len(empty))
+    enough = len(empty) - best >= FEWEST_EMPTY and best <= DAMAGED * len(empty)
+    return np.asarray(moves[damaged == best] if enough else moves[:0])
 
 
 ALONG = 17

@@ -17,7 +17,7 @@ from clacad.base.interactive import shown_progress
 from clacad.base.text import mrad_text
 from clacad.base.types import Progress
 from clacad.checks.check import Check, accepted
-from clacad.checks.file_kinds import FAITHFUL_RMS, FILE_TARGET
+from clacad.checks.file_kinds import FAITHFUL_RMS, FILE_TARGET, SHAPE
 from clacad.exporting.roles import Role
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
@@ -155,31 +155,46 @@ def _with_files(
     from clacad.judging.judge_files import judge_files
     from clacad.verification.light.facet_convergence import judge_convergence
 
-    checks, judged = judge_files(report.design, report.window, delivery, cells, rays, progress)
+    checks, files = judge_files(report.design, report.window, delivery, cells, rays, progress)
+    part = _measured_scan(report.design, files)
     convergence = None
-    if any(f.subject.is_mesh for f in judged):
+    if part is not None:
+        checks = [*_beside_lenslets(checks), *part.checks]
+    elif any(f.subject.is_mesh for f in files):
         convergence, check = judge_convergence(report.design, report.window, progress)
         checks = [*checks, check]
-    found = replace(
-        report, checks=(*report.checks, *checks), convergence=convergence, files=tuple(judged), delivered=True
-    )
-    return replace(found, measured=_measured_scan(report.design, judged))
+    judged = tuple(f if f.mesh is None else replace(f, mesh=f.mesh.without_part()) for f in files)
+    found = replace(report, checks=(*report.checks, *checks), convergence=convergence, files=judged)
+    return replace(found, delivered=True, measured=part)
 
 
 def _measured_scan(design: Design, judged: Sequence[FileReport]) -> Measured | None:
     """The lenslets of a part by the one mesh of a scan, as by its maps; None where they cannot be fitted."""
-    if len(judged) != 1 or not judged[0].subject.is_mesh or judged[0].judged_as is not Role.SCAN:
+    if len(judged) != 1 or judged[0].mesh is None or judged[0].judged_as is not Role.SCAN:
         return None
-    pose = None if judged[0].mesh is None else judged[0].mesh.facts.get("pose")
-    if pose is None:
+    placed = judged[0].mesh.facts.get("part")
+    if placed is None:
         return None
     from clacad.measuring.measure import measure_mesh
     from clacad.storage.errors import NotPossible, UnreadableFile
 
     try:
-        return measure_mesh(design, judged[0].subject.path, pose)
+        mesh, name = placed.file or placed.mesh, judged[0].subject.name
+        return measure_mesh(design, placed.window, name, mesh, placed.pose)
     except (UnreadableFile, NotPossible):
         return None
+
+
+def _beside_lenslets(checks: Sequence[Check]) -> Iterator[Check]:
+    """Checks of a mesh next to those of its lenslets: light and form are those of the fit, damage is not."""
+    from clacad.judging.judge_files import THROUGH
+
+    for check in checks:
+        if check.kind in THROUGH:
+            continue
+        damage = check.detail.get("dents") or any(one["cells"] for one in check.detail.get("features", ()))
+        formed = check.kind is SHAPE and check.state == "fail" and not damage
+        yield replace(check, state="warn", required=False) if formed else check
 
 
 def judge_window(design: Design, window: Window, facts: Feasibility, rays: int) -> tuple[list[Check], Optics]:

@@ -114,8 +114,13 @@ class Report(Tabular):
     @cached_property
     def verdicts(self) -> tuple[FileVerdict, ...]:
         """Verdict on each file, in the order of judgement."""
-        part = () if self.measured is None or self.files else (_measured_verdict(self.measured),)
-        return (*(_verdict_of(one, self.checks) for one in self.files), *part)
+        if self.measured is None:
+            return tuple(_verdict_of(one, self.checks) for one in self.files)
+        own = {check.kind for check in self.measured.checks}
+        rest = [check for check in self.checks if check.kind not in own]
+        part = _measured_verdict(self.measured)
+        worse = [one for one in (_verdict_of(file, rest) for file in self.files) if one.word not in GOOD]
+        return tuple(replace(one, rms=part.rms, limit=part.limit) for one in worse) or (part,)
 
     @cached_property
     def word(self) -> Word:

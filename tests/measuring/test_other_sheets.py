@@ -106,7 +106,7 @@ def test_light_through_a_perfect_part_is_that_through_the_exact_faces(name):
     made = like(design, side, cell, noise=1e-6, spikes=0, dirt=0, lost=0.0, rim=0.0)
     found = measure(design, **{side: (mapped(made), cell)}, z_scale=1.0)
     true = exact(design, found.light.cells)
-    assert found.light.rms == pytest.approx(true, rel=0.03, abs=4e-6)
+    assert found.light.rms == pytest.approx(true, rel=6e-3)
     assert found.radii()[side][0] == pytest.approx(found.sides[side].radius, rel=1e-4)
     assert np.abs(found.sides[side].deviation[np.isfinite(found.sides[side].deviation)]).max() < 30e-6
     assert len(found.sides[side].lenslets.index) >= 9
