@@ -18,6 +18,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats
 from clacad.design.process import Process
+from clacad.formats.maps.tool_path import ToolFace
 from clacad.optics.surface.sag_and_normal import (
     EvenPolynomial,
     conic_constants,
@@ -41,12 +42,6 @@ SEAM_SIGMAS = 4.0
 
 ON_SEAM = 65
 """Positions of the tool along a seam between faces that are not spheres."""
-
-NODES = 17
-"""Places along each side of the box around a cell at which a face is fitted."""
-
-ROUNDS = 12
-"""Steps by which the contact of a tool is found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,16 +73,6 @@ class Lenslet:
             low, high = sorted(float(normal[0] * c[1] - normal[1] * c[0]) for c in (start, end))
             found.append((normal, float(normal @ start), low, high))
         return found
-
-    @cached_property
-    def grid(self) -> tuple[Floats, Floats]:
-        """Evenly spread places (n,) of the cell."""
-        reach = np.abs(self.tile).max(axis=0)
-        x, y = (one.ravel() for one in np.meshgrid(*(np.linspace(-r, r, NODES) for r in reach)))
-        held = np.ones(len(x), dtype=bool)
-        for normal, width, *_ in self.sides:
-            held &= normal[0] * x + normal[1] * y <= width * (1.0 + 1e-12)
-        return x[held], y[held]
 
     @cached_property
     def span(self) -> tuple[float, float]:
@@ -129,17 +114,13 @@ class Lenslet:
         return np.nan_to_num(height), np.nan_to_num(dx), np.nan_to_num(dy)
 
 
-@dataclass(frozen=True, eq=False)
-class BallNose:
-    """The nose of a tool that rolls over an array of lenslets, or over the insert they are moulded in.
+class BallNose(ToolFace):
+    """A nose that rolls over an array of lenslets, or over the insert they are moulded in; what it leaves."""
 
-    radius : Length.
-    sign : +1: the tool cuts the part; −1: its insert, whose heights are the negative.
-    """
-
-    lens: Lenslet
-    radius: float
-    sign: float
+    @cached_property
+    def own(self) -> Lenslet:
+        """The face as designed."""
+        return Lenslet(self.window, self.face)
 
     def __call__(self, x: Floats, y: Floats) -> Heights:
         """The lenslet where the tool reaches it, the tool's own ball elsewhere."""
@@ -150,33 +131,33 @@ class BallNose:
             reached = np.isfinite(found[0])  # the others lie beyond the cell
             for one, made in zip((height, dx, dy), found, strict=True):
                 one[rows[reached]] = made[reached]
-        return self.sign * height, self.sign * dx, self.sign * dy
+        return self.out * height, self.out * dx, self.out * dy
 
     def rounds(self, x: Floats, y: Floats) -> Bools:
         """At which places (n,) the tool would have to leave its cell to touch the lenslet."""
         centre_x, centre_y = self._tool_over(x, y)
         found = np.zeros(np.shape(x), dtype=bool)
-        for normal, width, *_ in self.lens.sides:
+        for normal, width, *_ in self.own.sides:
             found |= normal[0] * centre_x + normal[1] * centre_y > width
         return found
 
     def _seen(self, x: Floats, y: Floats) -> Heights:
         """The face as the tool sees it: of an insert, the negative."""
-        height, dx, dy = self.lens(x, y)
-        return self.sign * height, self.sign * dx, self.sign * dy
+        height, dx, dy = self.own(x, y)
+        return self.out * height, self.out * dx, self.out * dy
 
     def _tool_over(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Centre of the tool that touches the lenslet at places (n,)."""
         _, dx, dy = self._seen(x, y)
-        steep = self.radius / np.sqrt(1.0 + dx * dx + dy * dy)
+        steep = self.nose / np.sqrt(1.0 + dx * dx + dy * dy)
         return x - steep * dx, y - steep * dy
 
     def _lowest_ball(self, x: Floats, y: Floats) -> Heights:
         """Lowest ball of a tool whose centre is on a seam, over places (n,); infinite out of its reach."""
         best: list[Floats] = [np.full(len(x), np.inf), np.zeros(len(x)), np.zeros(len(x))]
-        for number, (normal, *_) in enumerate(self.lens.sides):
+        for number, (normal, *_) in enumerate(self.own.sides):
             across, along, centre = self._centre_on(number, x, y)
-            square = self.radius**2 - across**2 - along**2
+            square = self.nose**2 - across**2 - along**2
             root = np.sqrt(np.where(square > 0.0, square, 1.0))
             height = np.where(square > 0.0, centre - root, np.inf)
             slope_x = (normal[0] * across - normal[1] * along) / root
@@ -188,16 +169,16 @@ class BallNose:
 
     def _centre_on(self, number: int, x: Floats, y: Floats) -> Heights:
         """Offset (n,) of places across and along a seam from the tool that touches them, and its height."""
-        normal, width, low_t, high_t = self.lens.sides[number]
+        normal, width, low_t, high_t = self.own.sides[number]
         p_n, p_t = normal[0] * x + normal[1] * y - width, normal[0] * y - normal[1] * x
-        sphere = self.lens.sphere
+        sphere = self.own.sphere
         if sphere is not None:
-            ring = sqrt((sphere + self.radius) ** 2 - width**2)
-            tube = np.sqrt(np.maximum(self.radius**2 - p_n**2, 0.0))
+            ring = sqrt((sphere + self.nose) ** 2 - width**2)
+            tube = np.sqrt(np.maximum(self.nose**2 - p_n**2, 0.0))
             centre_t = np.clip(p_t * ring / (ring - tube), low_t, high_t)
             return p_n, p_t - centre_t, np.sqrt(ring**2 - centre_t**2) - sphere
         t, height = self._path[number]
-        square = self.radius**2 - p_n[:, None] ** 2 - (p_t[:, None] - t) ** 2
+        square = self.nose**2 - p_n[:, None] ** 2 - (p_t[:, None] - t) ** 2
         drop = np.where(square > 0.0, height - np.sqrt(np.maximum(square, 0.0)), np.inf)
         k = np.clip(np.argmin(drop, axis=1), 1, len(t) - 2)
         rows = np.arange(len(x))
@@ -213,16 +194,11 @@ class BallNose:
     def _path(self) -> list[tuple[Floats, Floats]]:
         """Positions along each seam and height of the centre of the tool there."""
         found = []
-        part = 1.0 / (1.0 + self.radius / abs(self.lens.sharpest))
-        for normal, width, low, high in self.lens.sides:
+        for normal, width, low, high in self.own.sides:
             t = np.linspace(low, high, ON_SEAM)
-            centre = np.column_stack([width * normal[0] - t * normal[1], width * normal[1] + t * normal[0]])
-            x, y = centre.T
-            for _ in range(ROUNDS):
-                tool = self._tool_over(x, y)
-                x, y = (at + part * (c - got) for at, c, got in zip((x, y), centre.T, tool, strict=True))
-            height, dx, dy = self._seen(x, y)
-            found.append((t, height + self.radius / np.sqrt(1.0 + dx * dx + dy * dy)))
+            found.append(
+                (t, self.path_height(width * normal[0] - t * normal[1], width * normal[1] + t * normal[0]))
+            )
         return found
 
 
@@ -263,7 +239,7 @@ class MadeSurface:
         if not self.process.nose or not self.convex:
             return None
         sign = -1.0 if self.process.cut_as_insert else 1.0
-        return BallNose(self.lens, self.process.nose / self.window.unit, sign)
+        return BallNose(self.window, self.face, self.process.nose / self.window.unit, 0.0, sign)
 
     @cached_property
     def spot(self) -> float:

@@ -93,6 +93,16 @@ def test_tool_points_of_both_orders_lie_on_the_same_face(design, tmp_path) -> No
     assert entry["share_not_reached"] == pytest.approx(1.0 - (big / (big + 0.2)) ** 2, abs=1e-12)
 
 
+def test_tool_points_of_lenses_with_land_pass_by_the_light_of_the_part_that_they_make(tmp_path) -> None:
+    part = clacad.load("tilted-seam", ["lattice.count = [3, 3]"])
+    told = clacad.export(part, tmp_path, ["tool"], tool_step=0.1, nose=0.025)
+    for file in told.files:
+        assert file["left_at_seams"] > 0.01  # the foot of the step
+        checks = judged(part, told.folder)[file["name"]]
+        assert states(checks, "file_law_rms") == ["pass"]
+        assert not [one for one in checks if one.state == "fail"]
+
+
 def test_dose_maps_of_all_bits_hold_the_same_depths(made) -> None:
     stem = made.folder / "window-100mm.sheet-front"
     eight, bmp, fine = (

@@ -161,17 +161,54 @@ def test_a_nose_larger_than_a_concave_face_is_refused(sheet, case) -> None:
     assert tool.left() == {"seam": 0.0, "corner": 0.0, "share": 0.0}
 
 
-@pytest.mark.parametrize(
-    ("keys", "reason"),
-    [
-        (["lattice.aperture = {point = [30, 70, -600]}"], "of its own in each cell.*--format insert"),
-        (["lattice.seam = 0.05"], "flat land.*lattice.seam = 0"),
-    ],
-)
-def test_steps_that_a_nose_would_cut_into_are_refused_with_the_nearest_fix(keys, reason) -> None:
-    window = clacad.prescribe(clacad.load("window-100mm", ["lattice.count = [4, 4]", *keys]))
-    with pytest.raises(NotPossible, match=reason):
-        tool_face(window, window.bodies[0].back, "back", 0.025, None, 1000)
+STEPS = {
+    "own law": ["lattice.count = [6, 5]", 'law.varying = {f_image = "200 mm"}'],
+    "land": ["lattice.count = [6, 5]", "lattice.seam = 0.05"],
+    "displaced": ["lattice.count = [6, 5]", "law.delta = [0.1, 0.05]"],
+    "turned": ["lattice.count = [6, 5]", 'lattice.rotation_2 = "5 deg"'],
+}
+
+
+@pytest.mark.parametrize("nose", [0.025, 0.2])
+@pytest.mark.parametrize("keys", STEPS.values(), ids=STEPS)
+def test_a_nose_passes_over_steps_as_a_ball_over_the_heights_that_are_written(keys, nose) -> None:
+    """Against the highest of many points of the face under the ball, each in its own cell or on land."""
+    window = clacad.prescribe(clacad.load("window-100mm", keys))
+    face = window.bodies[0].back
+    tool = tool_face(window, face, "back", nose, None, 1000)
+    share = (np.arange(160) + 0.5) / 160
+    reach, angle = (one.ravel() for one in np.meshgrid(nose * np.sqrt(share), 2.0 * np.pi * share))
+    aside = np.stack([reach * np.cos(angle), reach * np.sin(angle)])
+
+    def highest(x: float, y: float) -> float:
+        index, u, v = window.locate(face.array, x + aside[0], y + aside[1])
+        z = face_height(window, face, u, v, index) - face.vertex[2]
+        return float((z + np.sqrt(nose**2 - reach**2))[window.lattice.contains(index)].max())
+
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(-0.8, 0.8, (2, 40))
+    index, u, v = window.locate(face.array, x, y)
+    path = tool.path_height(u, v, None if window.uniform else index)
+    over = path - [highest(*at) for at in zip(x, y, strict=True)]
+    assert over.min() > -1e-12  # no point of the face is inside the ball
+    assert over.max() < 0.01 * nose  # and it touches: the points under it lie about a hundredth apart
+    rows = tool.rows(*rng.uniform(-0.8, 0.8, (2, 120)))
+    cut = np.array([highest(*at) for at in rows[:, 6:8]]) - rows[:, 8]
+    reached = rows[:, 9] > 0.0
+    assert 10 < reached.sum() < 120
+    assert cut[reached].max() < 1e-12
+    assert cut[~reached].min() > -0.001 * nose
+    assert (cut[~reached] > 0.0).mean() > 0.9
+
+
+def test_a_nose_is_refused_only_where_it_enters_nowhere() -> None:
+    """The lenses of a sheet for a point far aside stand up to .4 mm higher in one cell than in the next."""
+    keys = ["lattice.count = [4, 4]", "lattice.aperture = {point = [30, 70, -600]}"]
+    window = clacad.prescribe(clacad.load("window-100mm", keys))
+    face = window.bodies[0].back
+    assert tool_face(window, face, "back", 0.02, None, 1000).left()["share"] < 0.2
+    with pytest.raises(NotPossible, match="of 1 does not enter cell .* cuts .* smaller nose"):
+        tool_face(window, face, "back", 1.0, None, 1000)
 
 
 def test_levels_of_a_dose_are_those_of_the_reference() -> None:

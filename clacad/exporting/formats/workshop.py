@@ -37,7 +37,7 @@ TOOL_POINTS, DOSE_8, DOSE_16, DOSE_BMP, DOSE_TABLE = (
 WEDGE_PICTURE, WEDGE_TABLE = "wedge-picture", "wedge-table"
 """Words of the files in manifests."""
 
-TOOL_SECONDS, DOSE_SECONDS, INSERT_SECONDS = 1.2e-5, 4e-7, 2.5
+TOOL_SECONDS, DOSE_SECONDS, INSERT_SECONDS = 2.4e-5, 4e-7, 2.5
 """Seconds per point, per pixel, and per face of an insert with its STEP file."""
 
 MOST_POINTS, ROW = 400_000, 210
@@ -108,7 +108,8 @@ def is_insert(word: str) -> bool:
 def surface_misfit(of: FaceFile, points: Floats) -> Floats:
     """Distances (m,) along z of points from the face of a file's window, lengths; NaN off its cells.
 
-    NaN too on borders with a step, where a point belongs to either cell: of tilted or differing lenses.
+    NaN too on borders with a step, where a point belongs to either side: of tilted or differing lenses, and
+    of lenses with land.
     """
     import numpy as np
 
@@ -117,9 +118,10 @@ def surface_misfit(of: FaceFile, points: Floats) -> Floats:
     index, u, v = of.window.locate(of.face.array or 0, points[:, 0], points[:, 1])
     off = points[:, 2] - face_height(of.window, of.face, u, v, index)
     held, lattice = of.window.lattice.contains(index), of.window.lattice_of(of.face.array or 0)
-    if not (of.face.untilted and of.window.uniform):
-        half = np.array(lattice.half_widths)[:, None]
-        held &= (np.abs(lattice.past_borders(u, v)) > BORDER * half).all(axis=0)
+    half, past = np.array(lattice.half_widths)[:, None], lattice.past_borders(u, v)
+    borders = [0.0] if not (of.face.untilted and of.window.uniform) else []
+    for inset in borders + ([0.5 * of.window.land.seam] if of.face.land is not None else []):
+        held &= (np.abs(past + inset) > BORDER * half).all(axis=0)
     return np.where(held, off, np.nan)
 
 
@@ -444,7 +446,6 @@ FORMATS = (
         drawn_cost(TOOL_SECONDS),
         _require_tool,
         tooling=True,
-        many_sizes=False,
         smaller="--tool-step, or --cells 50x50",
         stored=(AT_POINTS,),
     ),

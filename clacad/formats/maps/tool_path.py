@@ -3,15 +3,17 @@
 Frame of a face: the face seen from outside, +z away from the material, z = 0 at the apexes. A front face is
 turned by 180 degrees about x into it, a back face is as it lies in the sheet.
 
-The centre of a nose of radius r that touches the face at P lies at P + r n. Where it leaves the cell of P,
-the nose would cut into the lens next to it. The path that does not is the upper envelope of the offset
-surfaces of all cells; along seams and in corners it leaves material.
+The centre of a nose of radius r that touches the face at P lies at P + r n. Where the offset surface of
+another cell or of land is higher, the nose would cut into it. The path that does not is the upper envelope
+of the offset surfaces of all cells, which end at their borders; along seams, in corners and at the foot of
+steps it leaves material.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import islice
 from math import sqrt
 from pathlib import Path
@@ -19,13 +21,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from clacad.base.types import Bools, Floats
+from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.surface import principal_radii
-from clacad.sheet.window import face_height, lens_height_and_normal
+from clacad.sheet.representative_cells import representative_cells
+from clacad.sheet.window import lens_height_and_normal, optical_tile
 from clacad.storage.errors import NotPossible, UnreadableFile
 from clacad.storage.reading import Spending
 
 if TYPE_CHECKING:
+    from clacad.sheet.lattice import Lattice
     from clacad.sheet.window import Face, Window
 
 Order = Literal["raster", "spiral"]
@@ -35,8 +39,15 @@ BLOCK = 1 << 14
 EDGE_POINTS = 64
 """Points of every side of a cell through which the border of the reached area is drawn."""
 
-ROUNDS, STEP = 60, 1e-6
-"""Most rounds of the search of a point of contact; step of its differences over the pitch."""
+ROUNDS, STEP, HALVINGS = 60, 1e-6, 27
+"""Most rounds of the search of a point of contact; step of its differences over the pitch; halvings of a part
+of a border, on which the error of the height is the square of that of the place."""
+
+DEEP = 1e-9
+"""Depth over the pitch from which on a nose cuts into the lens next to it."""
+
+PLACES, SAMPLED = 24, 16
+"""Places along a cell, and most cells besides extreme ones, at which it is seen whether a nose reaches."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +56,14 @@ class ToolFace:
 
     nose : length. Radius of the nose.
     step : length. Distance of neighbouring points and passes.
+    out : +1: the nose cuts the face itself; −1: the insert that moulds it, whose heights are the negative.
     """
 
     window: Window
     face: Face
     nose: float
     step: float
+    out: float = 1.0
 
     @property
     def array(self) -> int:
@@ -62,23 +75,55 @@ class ToolFace:
         """+1 for a back face, −1 for a front face, which is turned about x."""
         return -float(self.face.side)
 
-    # Up to `rows`, x and y lie along the sheet's axes, z and normals point away from the material.
+    @cached_property
+    def lattice(self) -> Lattice:
+        """Pattern of the cells of the face."""
+        return self.window.lattice_of(self.array)
 
-    def surface(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Heights (n,) and unit normals (n, 3) of the lens over points (n,) of a cell."""
-        z, normal = lens_height_and_normal(self.face, x, y)
-        return self.way * (z - self.face.vertex[2]), normal * np.array([self.way, self.way, 1.0])
+    @cached_property
+    def zone(self) -> Floats:
+        """Corners (m, 2) of the part of a cell that lenses take."""
+        return optical_tile(self.window, self.array)
 
-    def in_cell(self, x: Floats, y: Floats) -> Bools:
-        """Whether points (n,) lie in the cell about whose centre they are counted."""
-        return np.asarray((self.window.lattice_of(self.array).past_borders(x, y) <= 0.0).all(axis=0))
+    @property
+    def land(self) -> float | None:
+        """Height of the flat land between lenses; None: there is none."""
+        return None if self.face.land is None else self.way * (self.face.land - self.face.vertex[2])
 
-    def contact(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    @cached_property
+    def alike(self) -> bool:
+        """Whether the lenses are upright, at the middle of identical cells, and meet without land."""
+        off = max(abs(self.face.vertex[0]), abs(self.face.vertex[1]))
+        plain = self.window.uniform and self.face.untilted and self.land is None
+        return plain and off <= 1e-9 * min(self.lattice.pitch)
+
+    # Up to `rows`, x and y are counted from the middle of the cells `index` (n, 2) along the sheet's axes, z
+    # and normals point away from the material. Without an index all lenses are the one that the face describes.
+
+    def lens(self, x: Floats, y: Floats, index: Ints | None = None) -> tuple[Floats, Floats]:
+        """Heights (n,) and unit normals (n, 3) of lenses, continued beyond their cells."""
+        places, way = self.window.lenses(self.face, index), self.way * self.out
+        z, normal = lens_height_and_normal(self.face, *places.seen(x, y))
+        return way * (places.raised(z) - self.face.vertex[2]), normal * np.array([way, way, 1.0])
+
+    def surface(self, x: Floats, y: Floats, index: Ints | None = None) -> tuple[Floats, Floats]:
+        """Heights (n,) and unit normals (n, 3) of the face: the outermost of lens and land."""
+        z, normal = self.lens(x, y, index)
+        if self.land is None:
+            return z, normal
+        flat = ~(z > self.land) | (self.past(x, y) > 1e-12 * min(self.lattice.pitch))
+        return np.where(flat, self.land, z), np.where(flat[:, None], [0.0, 0.0, 1.0], normal)
+
+    def past(self, x: Floats, y: Floats) -> Floats:
+        """Distance (n,) of points past the nearest border of the zone of lenses; negative inside."""
+        return np.asarray(self.lattice.past_borders(x, y).max(axis=0) + 0.5 * self.window.land.seam)
+
+    def contact(self, x: Floats, y: Floats, index: Ints | None = None) -> tuple[Floats, Floats]:
         """Points (n,) of the lens that the nose touches with its centre over x, y : Newton's method."""
         h = STEP * min(self.window.lattice.pitch)
-        p, q = x.copy(), y.copy()
+        p, q = (np.clip(at, -most, most) for at, most in zip((x, y), np.abs(self.zone).max(axis=0)))
         for _ in range(ROUNDS):
-            at, right, up = (self.surface(p + a, q + b)[1] for a, b in ((0.0, 0.0), (h, 0.0), (0.0, h)))
+            at, right, up = (self.lens(p + a, q + b, index)[1] for a, b in ((0.0, 0.0), (h, 0.0), (0.0, h)))
             off = [p + self.nose * at[:, 0] - x, q + self.nose * at[:, 1] - y]
             (a, c), (b, d) = (
                 [float(k == j) + self.nose * (turned[:, k] - at[:, k]) / h for k in (0, 1)]
@@ -91,46 +136,147 @@ class ToolFace:
                 break
         return p, q
 
-    def path_height(self, x: Floats, y: Floats) -> Floats:
-        """Height (n,) of the centre of the nose over points of a cell: upper envelope of the cells' offsets.
+    @cached_property
+    def reach(self) -> float:
+        """Distance within which the nose may touch what is higher than the place under its centre."""
+        if self.window.uniform:
+            return self.nose
+        heights, _ = self.surface(*self._sampled(np.vstack([self.lattice.tile(), [[0.0, 0.0]]])))
+        return min(self.nose, sqrt(2.0 * self.nose * float(np.ptp(heights))))
 
-        A concave lens ends at its own border: beyond it the next one is higher, and none is compared.
+    @cached_property
+    def around(self) -> list[tuple[int, int]]:
+        """Steps from a cell to those that the nose may touch with its centre over it; of equal ones the next."""
+        most = 1 if self.window.uniform else 1 + int(0.5 * self.reach / min(self.lattice.half_widths))
+        line = range(-most, most + 1)
+        return [(i, j) for i in line for j in line]
+
+    def path_height(self, x: Floats, y: Floats, index: Ints | None = None) -> Floats:
+        """Height (n,) of the centre of the nose over points of cells: upper envelope of all offsets.
+
+        A lens ends at its borders; at a step the nose rolls about the edge of the higher one.
         """
-        lattice = self.window.lattice_of(self.array)
-        convex = min(principal_radii(self.face.surface)) > 0.0
-        sides = [lattice.offset(*s) for s in lattice.steps] if convex else []
-        corners = [(a + c, b + d) for (a, b), (c, d) in zip(sides, [*sides[1:], *sides[:1]], strict=True)]
-        found = np.full(np.shape(x), -np.inf)
-        for dx, dy in ((0.0, 0.0), *sides, *corners):
-            p, q = self.contact(x - dx, y - dy)
-            z, normal = self.surface(p, q)
-            found = np.fmax(found, z + self.nose * normal[:, 2])
+        first = np.zeros((1, 2), dtype=np.int64) if index is None else index
+        at = self.window.centres(self.array, first) + np.stack([x, y], axis=1)
+        cell, x, y = self.window.locate(self.array, at[:, 0], at[:, 1])  # the one under the centre
+        index = None if index is None else cell
+        found = np.full(np.shape(x), -np.inf if self.land is None else self.land + self.nose)
+        for step in self.around:
+            dx, dy = self.lattice.offset(*step)
+            near = self.past(x - dx, y - dy) < self.reach
+            beside = None if index is None else index + np.array(step)
+            if beside is not None:
+                near &= self.window.lattice.contains(beside)
+            (rows,) = np.nonzero(near)
+            if len(rows):
+                there = self._rolled(x[rows] - dx, y[rows] - dy, None if beside is None else beside[rows])
+                found[rows] = np.fmax(found[rows], there)
+        return found
+
+    def _rolled(self, x: Floats, y: Floats, index: Ints | None) -> Floats:
+        """Height (n,) of the centre of the nose on lenses that end at their borders."""
+        p, q = self.contact(x, y, index)
+        z, normal = self.lens(p, q, index)
+        found = z + self.nose * normal[:, 2]
+        (rows,) = np.nonzero(~(self.past(p, q) <= 0.0))
+        x, y, own = x[rows], y[rows], None if index is None else index[rows]
+        found[rows] = -np.inf
+        for start, end in zip(self.zone, np.roll(self.zone, -1, axis=0), strict=True):
+            found[rows] = np.fmax(found[rows], self._on_edge(x, y, own, (start, end)))
+        return found
+
+    def _on_edge(self, x: Floats, y: Floats, index: Ints | None, ends: tuple[Floats, Floats]) -> Floats:
+        """Height (n,) of the centre of the nose that touches a border of lenses; −infinite out of its reach.
+
+        Height along the border plus a circle is concave: its slope is bisected.
+        """
+        start, length = ends[0], float(np.linalg.norm(ends[1] - ends[0]))
+        ex, ey = (ends[1] - start) / length
+        middle = (x - start[0]) * ex + (y - start[1]) * ey
+        square = self.nose**2 - ((y - start[1]) * ex - (x - start[0]) * ey) ** 2
+        reach = np.sqrt(np.maximum(square, 0.0))
+        low, high = (np.clip(middle + way * reach, 0.0, length) for way in (-1.0, 1.0))
+        for _ in range(HALVINGS):
+            t = 0.5 * (low + high)
+            _, normal = self.lens(start[0] + t * ex, start[1] + t * ey, index)
+            across, ball = t - middle, np.sqrt(np.maximum(reach**2 - (t - middle) ** 2, 0.0))
+            up = -(normal[:, 0] * ex + normal[:, 1] * ey) / normal[:, 2] * ball > across
+            low, high = np.where(up, t, low), np.where(up, high, t)
+        t = 0.5 * (low + high)
+        z, _ = self.lens(start[0] + t * ex, start[1] + t * ey, index)
+        there = z + np.sqrt(np.maximum(reach**2 - (t - middle) ** 2, 0.0))
+        return np.where((square > 0.0) & (np.abs(t - middle) <= reach), there, -np.inf)
+
+    def below(self, x: Floats, y: Floats, index: Ints | None) -> Floats:
+        """Depth (n,) below the path of the centre of the nose that touches the face; 0 where it reaches."""
+        z, normal = self.surface(x, y, index)
+        cx, cy, cz = x + self.nose * normal[:, 0], y + self.nose * normal[:, 1], z + self.nose * normal[:, 2]
+        found = np.zeros(len(x)) if self.land is None else np.maximum(self.land + self.nose - cz, 0.0)
+        (rows,) = np.nonzero(self.past(cx, cy) > -self.reach)  # else it touches its own lens alone
+        if len(rows):
+            own = None if index is None else index[rows]
+            path = self.path_height(cx[rows], cy[rows], own)
+            found[rows] = np.fmax(path - cz[rows], 0.0)
         return found
 
     def rows(self, x: Floats, y: Floats) -> Floats:
         """Rows (n, 10) of points of the sheet, in the order of `COLUMNS`, without points off the cells."""
+        table = self.table(x, y)
+        table[:, 9] = table[:, 9] <= DEEP * min(self.lattice.pitch)
+        return table
+
+    def table(self, x: Floats, y: Floats) -> Floats:
+        """Rows (n, 10) as `rows`, with the depth below the path in place of the flag."""
         index, u, v = self.window.locate(self.array, x, y)
         kept = self.window.lattice.contains(index)
-        x, y, u, v = x[kept], y[kept], u[kept], v[kept]
-        z, normal = self.surface(u, v)
-        aside = self.nose * normal[:, :2]
-        reached = self.in_cell(u + aside[:, 0], v + aside[:, 1])
-        table = np.column_stack(
-            [x, y, z, normal, x + aside[:, 0], y + aside[:, 1], z + self.nose * normal[:, 2], reached]
-        )
+        x, y, u, v, index = x[kept], y[kept], u[kept], v[kept], index[kept]
+        own = None if self.window.uniform else index
+        z, normal = self.surface(u, v, own)
+        centre = np.column_stack([x, y, z]) + self.nose * normal
+        table = np.column_stack([x, y, z, normal, centre, self.below(u, v, own)])
         table[:, [1, 4, 7]] *= self.way
         return table
 
+    def _sampled(self, at: Floats) -> tuple[Floats, Floats, Ints | None]:
+        """Places (k, 2) of a cell in the cells by which a sheet is judged; without an index of equal lenses."""
+        if self.window.uniform:
+            return at[:, 0], at[:, 1], None
+        cells = representative_cells(self.window, "facets", SAMPLED)
+        x, y = np.tile(at, (len(cells), 1)).T
+        return x, y, np.repeat(cells, len(at), axis=0)
+
+    @cached_property
+    def depths(self) -> tuple[Floats, Floats, Ints | None]:
+        """Depths (m, k) below the path at k places of m cells, closer at borders; the share (k,) of a cell
+        that each place stands for, and the indices (m, 2) of the cells.
+        """
+        angle = 0.5 * np.pi * ((np.arange(PLACES) + 0.5) / PLACES * 2.0 - 1.0)
+        u, v = (one.ravel() for one in np.meshgrid(angle, angle))
+        at = np.sin(np.stack([u, v], axis=1)) * np.abs(self.zone).max(axis=0)
+        held = self.past(*at.T) <= 0.0
+        at, share = at[held], (np.cos(u) * np.cos(v))[held]
+        x, y, index = self._sampled(at)
+        found = self.below(x, y, index).reshape(-1, len(at))
+        return found, share / share.sum(), None if index is None else index[:: len(at)]
+
     def left(self) -> dict[str, float]:
         """Material that stays and the part of a cell that is not reached, lengths in design units."""
-        tile = self.window.lattice_of(self.array).tile()
-        middles = 0.5 * (tile + np.roll(tile, -1, axis=0))
+        tile, small = self.lattice.tile(), DEEP * min(self.lattice.pitch)
         heights = []
-        for at in (middles, tile):
-            tip = self.path_height(at[:, 0], at[:, 1]) - self.nose
-            own = self.in_cell(*self.contact(at[:, 0], at[:, 1]))  # else the edge between cells is met
-            above = np.where(own, tip - self.surface(at[:, 0], at[:, 1])[0], 0.0)
-            heights.append(max(0.0, float(above.max())))
+        for corner in (False, True):
+            above = 0.0
+            for ends in (tile, self.zone)[: 1 if self.land is None else 2]:  # at the foot of a step lies land
+                places = self._sampled(ends if corner else 0.5 * (ends + np.roll(ends, -1, axis=0)))
+                foot = self.surface(*places)[0] if self.land is None else self.land
+                above = max(above, float((self.path_height(*places) - self.nose - foot).max()))
+            heights.append(above if above > small else 0.0)
+        if not self.alike:
+            depths, area, _ = self.depths
+            return {
+                "seam": heights[0],
+                "corner": heights[1],
+                "share": float(((depths > small) @ area).mean()),
+            }
         share = (np.arange(EDGE_POINTS) / EDGE_POINTS)[:, None]
         edge = np.concatenate([a + share * (b - a) for a, b in zip(tile, np.roll(tile, -1, axis=0))])
         reached = _area(np.stack(self.contact(edge[:, 0], edge[:, 1]), axis=1)) / _area(tile)
@@ -172,35 +318,30 @@ def tool_face(window: Window, face: Face, label: str, nose: float, step: float |
     """
     if not nose > 0.0:
         raise NotPossible("tool: no radius of the nose; set process.nose or --nose, such as '25 um'")
-    pitch = window.lattice_of(face.array or 0).pitch
-    off = max(abs(face.vertex[0]), abs(face.vertex[1]))
-    odd = {
-        "lenses of its own in each cell": not window.uniform,
-        "tilted lenses": not face.untilted,
-        "lenses displaced in their cells": off > 1e-9 * min(pitch),
-    }
-    for what in (name for name, found in odd.items() if found):
-        raise NotPossible(
-            f"tool: {label} has {what}: they meet in steps, whose walls a ball nose would cut; points are"
-            " written for upright lenses in identical cells, at their middle; use --format insert"
-        )
-    concave = [-r for r in principal_radii(face.surface) if r < 0.0]
+    size = window.lenses(face, window.lattice.cells()).size if face.change is not None else None
+    smallest = 1.0 if size is None else float(size.min())
+    concave = [-r * smallest for r in principal_radii(face.surface) if r < 0.0]
     if concave and nose > min(concave):
         raise NotPossible(
             f"tool: nose larger than the radius of the concave face: {nose:.6g} against {min(concave):.6g} of"
             f" {label}; take a nose of at most {min(concave):.6g}"
         )
-    lattice = window.lattice_of(face.array or 0)
-    tile = 0.999 * lattice.tile()
-    covered = face_height(window, face, tile[:, 0], tile[:, 1]) != lens_height_and_normal(face, *tile.T)[0]
-    if window.land.seam > 0.0 or covered.any():
-        raise NotPossible(
-            f"tool: {label} has flat land between its lenses; points are written for lenses that meet: set"
-            " lattice.seam = 0, or mill the land first and export with lattice.seam = 0"
-        )
-    cells = max(1, window.lattice.cell_count)
+    cells, pitch = max(1, window.lattice.cell_count), window.lattice_of(face.array or 0).pitch
     chosen = min(pitch) / min(64.0, max(4.0, sqrt(most / cells))) if step is None else step
-    return ToolFace(window, face, nose, chosen)
+    tool = ToolFace(window, face, nose, chosen)
+    depths, _, index = tool.depths
+    if not np.isfinite(depths).all():
+        raise NotPossible(
+            f"tool: {label} has holes between its lenses, into which a nose falls; give it land (layout.form)"
+        )
+    least = depths.min(axis=1)
+    if (worst := int(least.argmax())) >= 0 and least[worst] > DEEP * min(pitch):
+        where = "every cell" if index is None else f"cell ({index[worst][0]}, {index[worst][1]})"
+        raise NotPossible(
+            f"tool: a nose of {nose:.6g} does not enter {where} of {label}: wherever it touches the lens there"
+            f" it cuts {least[worst]:.3g} or more into what stands around it; take a smaller nose (--nose)"
+        )
+    return tool
 
 
 # -- text ------------------------------------------------------------------------------------------
@@ -218,7 +359,7 @@ def write_tool(tool: ToolFace, path: Path, scale: float, order: Order, label: st
         + (": the front turned by 180 degrees about x" if tool.way < 0.0 else ""),
         "c: centre of the nose = surface + nose n; tip = centre - nose z; reachable 0: it leaves the cell",
         f"left at seams {left['seam'] * scale!r}, at corners {left['corner'] * scale!r}, not reached"
-        f" {left['share']!r} of the area",
+        f" {left['share']!r} of the lenses' area",
     ]
     with path.open("w", encoding="ascii", newline="\n") as stream:
         stream.writelines(f"# {line}\n" for line in head)
@@ -281,22 +422,23 @@ def tool_misfit(tool: ToolFace, path: Path, scale: float) -> tuple[float, int]:
     for table in read_tool(path):
         nose = nose or float(np.linalg.norm(table[0, 6:9] - table[0, :3]))
         own = ToolFace(tool.window, tool.face, nose / scale, tool.step)
-        wanted = own.rows(table[:, 0] / scale, table[:, 1] * own.way / scale)
+        at = table[:, 0] / scale, table[:, 1] * own.way / scale
+        wanted = own.table(*at)
         if len(wanted) != len(table):
             return np.inf, count
         wanted[:, [0, 1, 2, 6, 7, 8]] *= scale
-        off = np.abs(wanted - table)
-        edge = 1e-9 * min(tool.window.lattice.pitch)
-        u, v = (table[:, 6] / scale, table[:, 7] * own.way / scale)
-        sure = _off_the_border(own, u, v, edge)
-        if (off[:, 9][sure] > 0.0).any() or not np.isfinite(off).all():
+        size = min(own.lattice.pitch)
+        depth = wanted[:, 9] / size / DEEP
+        sure = np.abs(depth - 1.0) > 0.5
+        if ((depth <= 1.0) != (table[:, 9] > 0.0))[sure].any() or not np.isfinite(table).all():
             return np.inf, count
-        worst, count = max(worst, float(off[:, :9].max())), count + len(table)
+        off = np.abs(wanted - table)[_off_the_border(own, *at, 1e-9 * size), :9]
+        worst, count = max(worst, float(off.max(initial=0.0))), count + len(table)
     return worst, count
 
 
 def _off_the_border(tool: ToolFace, x: Floats, y: Floats, edge: float) -> Bools:
-    """Points (n,) farther from the borders of cells than rounding moves them."""
+    """Points (n,) farther from the borders of cells and lenses than rounding moves them."""
     _, u, v = tool.window.locate(tool.array, x, y)
-    past = tool.window.lattice_of(tool.array).past_borders(u, v)
-    return np.asarray((np.abs(past) > edge).all(axis=0))
+    past = tool.past(u, v)
+    return np.asarray((np.abs(past) > edge) & (np.abs(past - 0.5 * tool.window.land.seam) > edge))
