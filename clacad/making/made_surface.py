@@ -18,7 +18,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats
 from clacad.design.process import Process
-from clacad.formats.maps.tool_path import ToolFace
+from clacad.formats.maps.tool_path import Nose
 from clacad.optics.surface.sag_and_normal import (
     EvenPolynomial,
     conic_constants,
@@ -114,7 +114,7 @@ class Lenslet:
         return np.nan_to_num(height), np.nan_to_num(dx), np.nan_to_num(dy)
 
 
-class BallNose(ToolFace):
+class BallNose(Nose):
     """A nose that rolls over an array of lenslets, or over the insert they are moulded in; what it leaves."""
 
     @cached_property
@@ -239,7 +239,7 @@ class MadeSurface:
         if not self.process.nose or not self.convex:
             return None
         sign = -1.0 if self.process.cut_as_insert else 1.0
-        return BallNose(self.window, self.face, self.process.nose / self.window.unit, 0.0, sign)
+        return BallNose(self.window, self.face, self.process.nose / self.window.unit, out=sign)
 
     @cached_property
     def spot(self) -> float:

@@ -202,7 +202,7 @@ def test_a_nose_passes_over_steps_as_a_ball_over_the_heights_that_are_written(ke
 
 
 def test_a_nose_is_refused_only_where_it_enters_nowhere() -> None:
-    """The lenses of a sheet for a point far aside stand up to .4 mm higher in one cell than in the next."""
+    """The lenses of a sheet for a point far aside are up to .4 mm higher in one cell than in the next."""
     keys = ["lattice.count = [4, 4]", "lattice.aperture = {point = [30, 70, -600]}"]
     window = clacad.prescribe(clacad.load("window-100mm", keys))
     face = window.bodies[0].back

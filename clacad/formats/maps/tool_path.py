@@ -12,7 +12,7 @@ steps it leaves material.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 from math import sqrt
@@ -51,19 +51,17 @@ PLACES, SAMPLED = 24, 16
 
 
 @dataclass(frozen=True, eq=False)
-class ToolFace:
-    """A face and the nose that cuts it.
+class Nose:
+    """A ball nose on a face.
 
     nose : length. Radius of the nose.
-    step : length. Distance of neighbouring points and passes.
     out : +1: the nose cuts the face itself; −1: the insert that moulds it, whose heights are the negative.
     """
 
     window: Window
     face: Face
     nose: float
-    step: float
-    out: float = 1.0
+    out: float = field(default=1.0, kw_only=True)
 
     @property
     def array(self) -> int:
@@ -90,15 +88,8 @@ class ToolFace:
         """Height of the flat land between lenses; None: there is none."""
         return None if self.face.land is None else self.way * (self.face.land - self.face.vertex[2])
 
-    @cached_property
-    def alike(self) -> bool:
-        """Whether the lenses are upright, at the middle of identical cells, and meet without land."""
-        off = max(abs(self.face.vertex[0]), abs(self.face.vertex[1]))
-        plain = self.window.uniform and self.face.untilted and self.land is None
-        return plain and off <= 1e-9 * min(self.lattice.pitch)
-
-    # Up to `rows`, x and y are counted from the middle of the cells `index` (n, 2) along the sheet's axes, z
-    # and normals point away from the material. Without an index all lenses are the one that the face describes.
+    # x and y are counted from the middle of the cells `index` (n, 2) along the sheet's axes, z and normals
+    # point away from the material. Without an index all lenses are the one that the face describes.
 
     def lens(self, x: Floats, y: Floats, index: Ints | None = None) -> tuple[Floats, Floats]:
         """Heights (n,) and unit normals (n, 3) of lenses, continued beyond their cells."""
@@ -141,12 +132,12 @@ class ToolFace:
         """Distance within which the nose may touch what is higher than the place under its centre."""
         if self.window.uniform:
             return self.nose
-        heights, _ = self.surface(*self._sampled(np.vstack([self.lattice.tile(), [[0.0, 0.0]]])))
+        heights, _ = self.surface(*_sampled(self, np.vstack([self.lattice.tile(), [[0.0, 0.0]]])))
         return min(self.nose, sqrt(2.0 * self.nose * float(np.ptp(heights))))
 
     @cached_property
     def around(self) -> list[tuple[int, int]]:
-        """Steps from a cell to those that the nose may touch with its centre over it; of equal ones the next."""
+        """Steps from a cell to those that the nose over it may touch; of equal ones the next."""
         most = 1 if self.window.uniform else 1 + int(0.5 * self.reach / min(self.lattice.half_widths))
         line = range(-most, most + 1)
         return [(i, j) for i in line for j in line]
@@ -207,6 +198,23 @@ class ToolFace:
         there = z + np.sqrt(np.maximum(reach**2 - (t - middle) ** 2, 0.0))
         return np.where((square > 0.0) & (np.abs(t - middle) <= reach), there, -np.inf)
 
+
+@dataclass(frozen=True, eq=False)
+class ToolFace(Nose):
+    """A face, the nose that cuts it, and the order of its points.
+
+    step : length. Distance of neighbouring points and passes.
+    """
+
+    step: float
+
+    @cached_property
+    def alike(self) -> bool:
+        """Whether the lenses are upright, at the middle of identical cells, and meet without land."""
+        off = max(abs(self.face.vertex[0]), abs(self.face.vertex[1]))
+        plain = self.window.uniform and self.face.untilted and self.land is None
+        return plain and off <= 1e-9 * min(self.lattice.pitch)
+
     def below(self, x: Floats, y: Floats, index: Ints | None) -> Floats:
         """Depth (n,) below the path of the centre of the nose that touches the face; 0 where it reaches."""
         z, normal = self.surface(x, y, index)
@@ -237,25 +245,17 @@ class ToolFace:
         table[:, [1, 4, 7]] *= self.way
         return table
 
-    def _sampled(self, at: Floats) -> tuple[Floats, Floats, Ints | None]:
-        """Places (k, 2) of a cell in the cells by which a sheet is judged; without an index of equal lenses."""
-        if self.window.uniform:
-            return at[:, 0], at[:, 1], None
-        cells = representative_cells(self.window, "facets", SAMPLED)
-        x, y = np.tile(at, (len(cells), 1)).T
-        return x, y, np.repeat(cells, len(at), axis=0)
-
     @cached_property
     def depths(self) -> tuple[Floats, Floats, Ints | None]:
         """Depths (m, k) below the path at k places of m cells, closer at borders; the share (k,) of a cell
-        that each place stands for, and the indices (m, 2) of the cells.
+        that each place represents, and the indices (m, 2) of the cells.
         """
         angle = 0.5 * np.pi * ((np.arange(PLACES) + 0.5) / PLACES * 2.0 - 1.0)
         u, v = (one.ravel() for one in np.meshgrid(angle, angle))
         at = np.sin(np.stack([u, v], axis=1)) * np.abs(self.zone).max(axis=0)
         held = self.past(*at.T) <= 0.0
         at, share = at[held], (np.cos(u) * np.cos(v))[held]
-        x, y, index = self._sampled(at)
+        x, y, index = _sampled(self, at)
         found = self.below(x, y, index).reshape(-1, len(at))
         return found, share / share.sum(), None if index is None else index[:: len(at)]
 
@@ -266,7 +266,7 @@ class ToolFace:
         for corner in (False, True):
             above = 0.0
             for ends in (tile, self.zone)[: 1 if self.land is None else 2]:  # at the foot of a step lies land
-                places = self._sampled(ends if corner else 0.5 * (ends + np.roll(ends, -1, axis=0)))
+                places = _sampled(self, ends if corner else 0.5 * (ends + np.roll(ends, -1, axis=0)))
                 foot = self.surface(*places)[0] if self.land is None else self.land
                 above = max(above, float((self.path_height(*places) - self.nose - foot).max()))
             heights.append(above if above > small else 0.0)
@@ -305,6 +305,15 @@ class ToolFace:
             yield x + radius * np.cos(angle), y + radius * np.sin(angle)
 
 
+def _sampled(nose: Nose, at: Floats) -> tuple[Floats, Floats, Ints | None]:
+    """Places (k, 2) of a cell in the cells by which a sheet is judged; without an index of equal lenses."""
+    if nose.window.uniform:
+        return at[:, 0], at[:, 1], None
+    cells = representative_cells(nose.window, "facets", SAMPLED)
+    x, y = np.tile(at, (len(cells), 1)).T
+    return x, y, np.repeat(cells, len(at), axis=0)
+
+
 def _area(polygon: Floats) -> float:
     (x, y), (u, v) = polygon.T, np.roll(polygon, -1, axis=0).T
     return 0.5 * abs(float((x * v - u * y).sum()))
@@ -338,8 +347,8 @@ def tool_face(window: Window, face: Face, label: str, nose: float, step: float |
     if (worst := int(least.argmax())) >= 0 and least[worst] > DEEP * min(pitch):
         where = "every cell" if index is None else f"cell ({index[worst][0]}, {index[worst][1]})"
         raise NotPossible(
-            f"tool: a nose of {nose:.6g} does not enter {where} of {label}: wherever it touches the lens there"
-            f" it cuts {least[worst]:.3g} or more into what stands around it; take a smaller nose (--nose)"
+            f"tool: a nose of {nose:.6g} does not enter {where} of {label}: where it touches the lens there"
+            f" it cuts {least[worst]:.3g} or more into what is higher around it; take a smaller nose (--nose)"
         )
     return tool
 
@@ -357,7 +366,7 @@ def write_tool(tool: ToolFace, path: Path, scale: float, order: Order, label: st
         f"clacad tool points of {label}, unit mm, order {order}, nose {tool.nose * scale!r}",
         "face seen from outside, +z out of the material, z = 0 at the apexes"
         + (": the front turned by 180 degrees about x" if tool.way < 0.0 else ""),
-        "c: centre of the nose = surface + nose n; tip = centre - nose z; reachable 0: it leaves the cell",
+        "c: centre of the nose = surface + nose n; tip = centre - nose z; reachable 0: it cuts elsewhere",
         f"left at seams {left['seam'] * scale!r}, at corners {left['corner'] * scale!r}, not reached"
         f" {left['share']!r} of the lenses' area",
     ]
