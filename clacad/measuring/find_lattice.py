@@ -70,9 +70,13 @@ class Found:
 
 @dataclass(frozen=True, eq=False)
 class _Blocks:
-    """Block means about their plane, windowed: values (ny, nx), and the places of columns and rows."""
+    """Block means about their plane, windowed: values (ny, nx), and the places of columns and rows.
+
+    weight : (ny, nx). The window; 0 where nothing was measured.
+    """
 
     values: Floats
+    weight: Floats
     x: Floats
     y: Floats
 
@@ -81,6 +85,20 @@ class _Blocks:
         rows = np.exp(-2j * pi * np.outer(fy, self.y))
         columns = np.exp(-2j * pi * np.outer(self.x, fx))
         return np.asarray(rows @ self.values @ columns)
+
+    def harmonics(self, waves: Floats) -> NDArrayComplex:
+        """First and second harmonic (n, 2) of waves (n, 2), by least squares over what was measured.
+
+        Sums over all blocks would take seams that were not measured for heights.
+        """
+        row, column = np.nonzero(self.weight)
+        angle = 2.0 * pi * np.stack([self.x[column], self.y[row]], axis=1) @ waves.T
+        every = np.hstack([k * angle for k in (1, 2, 3)])
+        root = np.sqrt(self.weight[row, column])
+        known = np.column_stack([np.ones(len(row)), np.cos(every), np.sin(every)]) * root[:, None]
+        found = np.linalg.lstsq(known, self.values[row, column] / root, rcond=None)[0][1:]
+        count = every.shape[1]
+        return np.asarray((found[:count] - 1j * found[count:]).reshape(3, -1)[:2].T)
 
 
 def find_lattice(
@@ -100,8 +118,7 @@ def find_lattice(
     found = np.array([_climbed(blocks, wave) for wave in first])  # rows: waves of the map
     basis = np.linalg.inv(found[:2])  # columns a1, a2 with waves · steps = identity
     _refuse_period(measured, basis, design)
-    shown = np.array([[complex(blocks.at(k * w[:1], k * w[1:])[0, 0]) for k in (1, 2)] for w in found[:2]])
-    shown /= _harmonics(design, waves, lenslet)
+    shown = blocks.harmonics(found)[:2] / _harmonics(design, waves, lenslet)
     phase = shown[:, 0] / np.abs(shown[:, 0])
     if not (shown[:, 1] * np.conj(phase) ** 2).real.sum() > 0.0:
         raise NotMeasurable(
@@ -178,7 +195,7 @@ def _blocks(measured: MeasuredMap, size: float) -> _Blocks:
     values = np.zeros(shape)
     values[known] = mean[known] - design @ plane
     window = np.outer(np.hanning(shape[0] + 2)[1:-1], np.hanning(shape[1] + 2)[1:-1])
-    return _Blocks(values * window, gx, gy)
+    return _Blocks(values * window, window * known, gx, gy)
 
 
 def _waves(design: Pattern) -> Floats:
