@@ -37,6 +37,9 @@ FINE = 24
 """Pixels across an aperture from which a map is not coarse."""
 
 NAMES = ("x", "y", "z", "curvature", "conic", "astigmatism", "astigmatism_45")
+PLACES = 6
+"""Places along a cell where it is looked whether a map holds points."""
+
 TILES = 10
 """Parts of an aperture along each side, at most, most of which must hold points."""
 
@@ -172,6 +175,23 @@ class Lenslets:
         at = [np.clip(cell[k] - low[k] + 1, 0, table.shape[k] - 1) for k in (0, 1)]
         height = z - self.plane[0] - self.plane[1] * x - self.plane[2] * y
         return table[at[0], at[1]], np.vstack([_axes(self.lattice).T @ off, height])
+
+    def seen(self, measured: MeasuredMap) -> Floats:
+        """Places (m, 3) of a map in the axes of its cells, from the centre of cell (0, 0), and whether most
+        points were measured there (1 or 0).
+        """
+        size = 2.0 * float(self.aperture.half.min()) / PLACES
+        edges = []
+        for count, pixel in zip(measured.shape[::-1], measured.pixel, strict=True):
+            places = max(2, int(count * pixel / size))
+            edges.append(0.5 * count * pixel * np.linspace(-1.0, 1.0, places + 1))
+        held = np.histogram2d(measured.points[0], measured.points[1], (edges[0], edges[1]))[0]
+        x, y = np.meshgrid(*(0.5 * (one[1:] + one[:-1]) for one in edges), indexing="ij")
+        normal = self.level[2]
+        flat = np.stack([x, y, -(normal[0] * x + normal[1] * y) / normal[2]]).reshape(3, -1)
+        off = (self.level @ flat)[:2] - self.lattice.origin[:, None]
+        found = held.ravel() > HALF * np.median(held[held > 0.0])
+        return np.column_stack([(_axes(self.lattice).T @ off).T, found])
 
     def heights(self, number: int, u: Floats, v: Floats, values: Floats | None = None) -> Floats:
         """Form (n,) of one lenslet over places of its cell: the conic, and what the fit leaves of it."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import hypot, log, prod
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,7 @@ from clacad.measuring.light_through_form import light_through_form, texture_shar
 from clacad.measuring.measured import Measured
 from clacad.measuring.read_map import STEEP, MeasuredMap, cloud_map, read_map
 from clacad.measuring.scales import HEIGHTS, LATERAL, Scale, Stated, scale_by_tilt, scale_of
-from clacad.measuring.sides import Name, ShownCells, Side, cells_in_map, placed_cells, sides_of
+from clacad.measuring.sides import Name, ShownCells, Side, cells_in_map, first_cells, placed_cells, sides_of
 from clacad.prescription.prescribe import prescribe
 from clacad.storage.errors import BadRequest
 
@@ -300,11 +301,14 @@ def _fitted(
     """Map in design units with its scales taken off, its lenslets, and the cells that they are."""
     one = measured.scaled(lateral * unit_m, height * unit_m)
     _refuse_heights(one, side)
-    cells = cells_in_map(side, np.zeros((1, 2), dtype=np.int64), np.zeros((0, 2), dtype=np.int64), stated)
+    cells = first_cells(side, stated)
     for _ in range(2):
         lenslets = fit_lenslets(one, side.lattice, side.aperture, cells.numbers)
-        before, known = cells, placed_cells(side, one.middle, lenslets.lattice.origin)
-        cells = known or cells_in_map(side, lenslets.index, lenslets.empty, stated)
+        before = cells
+        if stated is None:
+            seen = partial(lenslets.seen, one)
+            placed = placed_cells(side, one.middle, lenslets.lattice.origin)
+            cells = placed or cells_in_map(side, lenslets.index, lenslets.empty, seen)
         if side.alike or cells.first == before.first:
             break
     _, a, b = lenslets.pose

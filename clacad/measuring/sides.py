@@ -15,9 +15,9 @@ from typing import Literal
 
 import numpy as np
 
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Bools, Floats, Ints
 from clacad.measuring.fit_lenslets import Aperture, aperture_of, fit_heights
-from clacad.sheet.lattice import Lattice
+from clacad.sheet.lattice import Lattice, inside_outline
 from clacad.sheet.pattern import Pattern
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.window import Body, Face, Window, lens_height
@@ -139,8 +139,8 @@ class ShownCells:
 
     side : Side
     first : (2,) ints. Cell of the sheet at step (0, 0) of the map's lattice.
-    known : (for i, for j). "stated", "placed" with the mesh of a part, "edge" of the array in the map, or
-        "assumed": the middle of the sheet.
+    known : (for i, for j). "stated", "placed" with the mesh of a part, "edge" of the array in the map, "mark":
+        a hole or corner of the plate in it, or "assumed": the middle of the sheet.
     """
 
     side: Side
@@ -160,26 +160,72 @@ class ShownCells:
         return ", ".join(words)
 
 
-def cells_in_map(side: Side, index: Ints, empty: Ints, stated: tuple[int, int] | None) -> ShownCells:
+def first_cells(side: Side, stated: tuple[int, int] | None) -> ShownCells:
+    """Cells of a map whose middle shows the stated cell, or that of the sheet.
+
+    Raises BadRequest: The sheet has no such cell.
+    """
+    if stated is None:
+        i, j = central_cell(side.window)
+        return ShownCells(side, (int(i), int(j)))
+    if not side.window.lattice.contains(np.array(stated)):
+        raise BadRequest(f"cell {stated[0]},{stated[1]}: the sheet has no such cell")
+    return ShownCells(side, stated, ("stated", "stated"))
+
+
+def cells_in_map(side: Side, index: Ints, empty: Ints, seen: Callable[[], Floats]) -> ShownCells:
     """Find which cells of the sheet a map shows, by the edge of the array where it is in the map.
 
     index, empty : (m, 2), (k, 2) Steps of the map's lattice with a lenslet, and with none.
-    stated : Cell nearest to the middle of the map, or None.
-    Raises BadRequest: The sheet has no such cell.
+    seen : Gives places of the map and whether they hold points, as `Lenslets.seen`.
     """
-    lattice = side.window.lattice
-    if stated is not None:
-        if not lattice.contains(np.array(stated)):
-            raise BadRequest(f"cell {stated[0]},{stated[1]}: the sheet has no such cell")
-        return ShownCells(side, stated, ("stated", "stated"))
-    middle = np.array(central_cell(side.window))
-    fitting = _fitting(lattice, side.cell(index), side.cell(empty))
+    lattice, middle = side.window.lattice, np.array(central_cell(side.window))
+    held = side.cell(index)
+    fitting = _fitting(lattice, held, side.cell(empty))
+    fitting = fitting[np.argsort(np.abs(fitting - middle).sum(axis=1), kind="stable")]
     if not len(fitting):
-        return ShownCells(side, (int(middle[0]), int(middle[1])))
-    first = fitting[np.argmin(np.abs(fitting - middle).sum(axis=1))]
-    alone = np.ptp(fitting, axis=0) == 0
-    known = ["edge" if one else "assumed" for one in alone]
-    return ShownCells(side, (int(first[0]), int(first[1])), (known[0], known[1]))
+        return first_cells(side, None)
+    marked = fitting
+    if len(fitting) > 1 and side.window.outline is not None:
+        beside = np.unique((held[:, None] + BESIDE).reshape(-1, 2), axis=0)
+        rim = np.any([~lattice.contains(fitting + cell) for cell in beside], axis=0)
+        inner = fitting[~rim][:1]  # all of these show the same of the plate
+        fits = _by_outline(side, np.concatenate([inner, fitting[rim]]), seen())
+        if fits.any() and not fits[: len(inner)].any():
+            marked = fitting[rim][fits[len(inner) :]]
+    edge, mark = (np.ptp(some, axis=0) == 0 for some in (fitting, marked))
+    known = ["edge" if edge[k] else "mark" if mark[k] else "assumed" for k in (0, 1)]
+    return ShownCells(side, (int(marked[0, 0]), int(marked[0, 1])), (known[0], known[1]))
+
+
+BESIDE = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+"""Steps to neighbouring cells."""
+
+
+def _by_outline(side: Side, cells: Ints, seen: Floats) -> Bools:
+    """Which cells (n, 2) at the middle of a map fit best what it shows of the plate: its sides and holes.
+
+    None where they leave too much of what was not measured unexplained.
+
+    seen : (m, 3) Places from the centre of that cell, and whether points were measured there.
+    """
+    window = side.window
+    places, shift = seen[:, :2] * side.signs, np.zeros(2)
+    if not window.one_outline:
+        shift = np.asarray(window.placements[side.array].shift)
+    assert window.outline is not None
+    off = np.array(
+        [
+            np.sum(inside_outline(window.outline, places + centre - shift) != (seen[:, 2] > 0.0))
+            for centre in window.centres(side.array, cells)
+        ]
+    )
+    unknown = float(np.sum(seen[:, 2] == 0.0))
+    return np.asarray((off <= off.min() + CLOSE) & (off <= CLOSE + DAMAGED * unknown))
+
+
+CLOSE = 5
+"""Places of a map by which one position on a plate must fit better than another to be the right one."""
 
 
 def placed_cells(side: Side, middle: tuple[float, float] | None, origin: Floats) -> ShownCells | None:
@@ -204,8 +250,8 @@ DAMAGED = 0.2
 def _fitting(lattice: Lattice, held: Ints, empty: Ints) -> Ints:
     """Displacements (n, 2) by which cells `held` are kept ones of a lattice, and fewest of `empty`.
 
-    Edges, corners and holes of the array are where it keeps no cells. None where they leave too many
-    unexplained.
+    Edges, corners and holes of the array are where it keeps no cells. Where they leave too many of `empty`
+    unexplained, only `held` decides.
     """
     kept = lattice.cells()
     low, high = kept.min(axis=0) - held.max(axis=0), kept.max(axis=0) - held.min(axis=0)
@@ -218,7 +264,7 @@ def _fitting(lattice: Lattice, held: Ints, empty: Ints) -> Ints:
     damaged = np.sum([lattice.contains(moves + cell) for cell in empty], axis=0, dtype=np.int64)
     best = damaged.min(initial=len(empty))
     enough = len(empty) - best >= FEWEST_EMPTY and best <= DAMAGED * len(empty)
-    return np.asarray(moves[damaged == best] if enough else moves[:0])
+    return np.asarray(moves[damaged == best] if enough else moves)
 
 
 ALONG = 17

@@ -11,7 +11,7 @@ from measuring.test_measure import mapped
 
 from clacad.design import Design, load
 from clacad.light.measure import measure as measure_light
-from clacad.measuring.measure import measure
+from clacad.measuring.measure import Maps, fitted_sides, measure
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import RequestedLaw, bundle
 from clacad.sheet.like_cell import like_cell
@@ -116,6 +116,58 @@ def stepped(made: Turned, columns: tuple[int, int]) -> Turned:
     """The part with lenslets in these columns alone; beyond them it is flat."""
     made.columns = columns
     return made
+
+
+class Plate(Turned):
+    """Cells of a plate with land around them, its sides, a hole in the land; and a damaged cell, as flat as land."""
+
+    first, count, land, hole, damaged = (0, 0), (0, 0), 1.0, None, None
+
+    def surface(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        z, seam = super().surface(x, y)
+        signs = np.array(SEEN[self.side]).reshape(2, *[1] * x.ndim)
+        cell = np.rint(np.stack([x / self.pitch[0], y / self.pitch[1]])) * signs
+        first, count = (np.array(one).reshape(signs.shape) for one in (self.first, self.count))
+        sheet = signs * np.stack([x, y]) + 0.5 * (first - 0.5 * (count - 1.0))
+        flat = (np.abs(sheet) > 0.25 * count).any(axis=0)
+        if self.damaged:
+            flat |= (cell + first == np.array(self.damaged).reshape(signs.shape)).all(axis=0)
+        gone = (np.abs(sheet) > 0.25 * count + self.land).any(axis=0)
+        if self.hole:
+            gone |= np.hypot(sheet[0] - self.hole[0], sheet[1] - self.hole[1]) < self.hole[2]
+        return np.where(flat, -0.01, z), np.where(gone, -1.0, seam)
+
+
+def shown(design: Design, side: str, first: tuple[int, int], size: int = 340, **what):
+    """Cell at the middle of a map of a plate, and how it was known for i and for j."""
+    made = like(design, side, first, size=size, pixel=0.008, noise=5e-6, spikes=0, dirt=0)
+    made.__class__ = Plate
+    vars(made).update(first=first, count=prescribe(design).lattice.count, **what)
+    found, _, _ = fitted_sides(design, prescribe(design), Maps(**{side: mapped(made)}, z_scale=1.0))
+    cells = found[side].lit.cells
+    return cells.first, cells.known
+
+
+HOLED = load("window-100mm", [
+    "lattice.count=[15,9]", "body.border=1.0", "body.holes=[{diameter=0.8,at=[[4.3,1.0]]}]",
+])  # fmt: skip
+NARROW = load("window-100mm", ["lattice.count=[15,9]", "body.border=0.2"])
+
+
+ON_PLATES = {
+    "hole in the land": (HOLED, (13, 2), {"hole": (4.3, 1.0, 0.4)}, ((13, 2), ("edge", "mark"))),
+    "corner, and a damaged cell": (HOLED, (13, 7), {"damaged": (12, 6)}, ((13, 7), ("edge", "edge"))),
+    "side of the plate": (NARROW, (13, 2), {"land": 0.2, "size": 300}, ((13, 4), ("mark", "assumed"))),
+    "a damaged cell alone": (HOLED, (8, 5), {"damaged": (9, 4)}, ((7, 4), ("assumed", "assumed"))),
+}
+
+
+@pytest.mark.daily_cases("front-hole in the land")
+@pytest.mark.parametrize("name", ON_PLATES)
+@pytest.mark.parametrize("side", ["front", "back"])
+def test_corners_holes_and_sides_of_the_plate_tell_the_cells(side, name):
+    design, first, what, expected = ON_PLATES[name]
+    assert shown(design, side, first, **what) == expected
 
 
 EDGES = load("window-100mm", ["lattice.count=[7,7]"])
