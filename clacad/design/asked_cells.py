@@ -9,10 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
-from clacad.config.mistakes import DesignError
 from clacad.design.cell_table import read_table
-from clacad.design.combinations import ETAS, FEATURES, why_not
-from clacad.design.read import values_of
 from clacad.design.sections import LatticeSpec, LawSpec, PairSpec
 from clacad.design.varying import Planes, gradient_of
 from clacad.optics.law import Law
@@ -52,21 +49,6 @@ class Requested(Protocol):
         """Name of the file, "" without one."""
 
 
-def refuse_beside_etas(design: Requested) -> None:
-    """Refuse features that are not built with an η per cell; CL125."""
-    values = values_of(design.given)
-    for feature in FEATURES:
-        reason = why_not(ETAS, feature.name)
-        if reason and feature.present(values.get):
-            raise DesignError.at(
-                design,
-                feature.key,
-                f"{feature.key} with {ETAS}: {reason}",
-                code="CL125",
-                hint=feature.instead,
-            )
-
-
 def lattice_of(design: Requested) -> Lattice:
     """Pattern of the design's cells."""
     spec = design.lattice
@@ -80,8 +62,7 @@ def lattice_of(design: Requested) -> Lattice:
 def cell_laws(design: Requested) -> CellLaws:
     """The law of each cell.
 
-    Raises DesignError: The table cannot be read, or it has η together with a feature that excludes η per
-        cell.
+    Raises DesignError: The table cannot be read.
     """
     law, spec = design.law, design.law_spec.varying
     if spec is None:
@@ -89,9 +70,7 @@ def cell_laws(design: Requested) -> CellLaws:
             return CellLaws(law)
         return CellLaws(law, table=_inclined_deltas(design, design.pair.focus))
     if spec.table is not None:
-        found = read_table(design.path, spec.table, lattice_of(design), law.eta_x)
-        if found.etas is not None:
-            refuse_beside_etas(design)
+        found = read_table(design.path, spec.table, lattice_of(design), (law.eta_x, law.eta_y))
         return CellLaws(law, table=found.deltas, ratios=found.etas)
     if spec.gradient is None and law.theta != 0.0:
         return CellLaws(law, table=_inclined_deltas(design, spec.conjugates, spec.f_image))

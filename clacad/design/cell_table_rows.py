@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from typing import IO, Any, Final, NamedTuple, NoReturn
@@ -13,7 +13,7 @@ from typing import IO, Any, Final, NamedTuple, NoReturn
 import numpy as np
 
 from clacad.base.text import printable
-from clacad.base.types import Bools, Floats, Ints
+from clacad.base.types import Bools, Floats, Ints, Pair2
 from clacad.base.untrusted_files import BUDGETS, array_head
 from clacad.config.mistakes import design_error, too_large
 from clacad.sheet.cell_places import places_in_rows
@@ -179,14 +179,11 @@ class NumberRows:
 
 
 COLUMNS: Final = ("i", "j", "delta_x", "delta_y")
-ETA: Final = "eta"
-"""Name of the optional column and of the optional array."""
-NOT_HERE: Final = (
-    (
-        "eta_",
-        "eta is one number of a cell, of both axes: two lenses of two focal lengths each would not be"
-        " confocal in both",
-    ),
+ETAS: Final = {"eta": (0, 1), "eta_x": (0,), "eta_y": (1,)}
+"""Names of optional columns and arrays, and the lens axes whose η they state: eta alone, or the others."""
+NOT_HERE: Final = tuple(
+    (name, "one orientation of the lens axes holds for all cells: law.euler")
+    for name in ("phi", "theta", "psi")
 )
 LARGEST: Final = 1e6
 """Largest |δ| and |η|, as for the keys law.delta and law.eta."""
@@ -196,7 +193,9 @@ ARRAY: Final = "delta"
 
 
 class CellNumbers(NamedTuple):
-    """Numbers of a table: δ (n1, n2, 2), and η (n1, n2) or None; 0 and the law's η for left-out cells."""
+    """Numbers of a table: δ (n1, n2, 2), and η (n1, n2), or (n1, n2, 2) of each axis, or None; 0 and the
+    law's η for left-out cells.
+    """
 
     deltas: Floats
     etas: Floats | None
@@ -212,13 +211,13 @@ class TableFile:
     """A table of cells on disk, and the lattice whose cells it must cover.
 
     key : Key of the design that names the table.
-    eta : η of the sheet's law, along x.
+    eta : η of the sheet's law along the lens axes.
     """
 
     path: str
     lattice: Lattice
     key: str
-    eta: float = -1.0
+    eta: Pair2 = (-1.0, -1.0)
 
     def numbers(self) -> CellNumbers:
         """Read δ of every cell, and η if the table has it; see `clacad.design.cell_table.read_table`."""
@@ -234,13 +233,23 @@ class TableFile:
 
     def _of_rows(self) -> CellNumbers:
         rows = NumberRows(self.path, COLUMNS, self.key, NOT_HERE)
-        if ETA in rows.names():
-            rows = replace(rows, columns=(*COLUMNS, ETA))
+        names = rows.names()
+        own = tuple(name for name in ETAS if name in names[4:])
+        rows = replace(rows, columns=(*COLUMNS, *own[: 1 if "eta" in own else 2]))
         made = np.full((*self.lattice.count, len(rows.columns) - 2), np.nan)
         for block in rows.blocks():
             self._enter(made, block, rows)
-        made = self._whole(made)
-        return CellNumbers(made[..., :2], made[..., 2] if ETA in rows.columns else None)
+        made = self._whole(made, rows.columns[4:])
+        return CellNumbers(
+            made[..., :2], self._of_both(dict(zip(rows.columns[4:], np.moveaxis(made, -1, 0)[2:])))
+        )
+
+    def _of_both(self, etas: Mapping[str, Floats]) -> Floats | None:
+        """η as `CellNumbers` has them; an axis without a column or an array has the law's."""
+        if not etas or "eta" in etas:
+            return etas.get("eta")
+        whole = [np.full(self.lattice.count, one) for one in self.eta]
+        return np.stack([etas.get(f"eta_{axis}", one) for axis, one in zip("xy", whole)], axis=-1)
 
     def _enter(self, made: Floats, block: RowBlock, rows: NumberRows) -> None:
         """Write the numbers of a block of rows to their cells."""
@@ -258,7 +267,10 @@ class TableFile:
             (outside[:, 0], 0, "i lies outside the sheet", f"0 to {n1 - 1}" + self._less_rows()),
             (~good[:, 0], 2, "delta_x is out of range", f"a number from -{LARGEST:g} to {LARGEST:g}"),
             (~good[:, 1], 3, "delta_y is out of range", f"a number from -{LARGEST:g} to {LARGEST:g}"),
-            *((~self._has_lens(eta), 4, "eta is out of range", self._etas()) for eta in numbers.T[4:]),
+            *(
+                (~self._has_lens(eta, name), 4 + k, f"{name} is out of range", self._etas(name))
+                for k, (name, eta) in enumerate(zip(rows.columns[4:], numbers.T[4:], strict=True))
+            ),
         )
         bad = np.flatnonzero(np.any([flaw[0] for flaw in flaws], axis=0))
         if len(bad):
@@ -283,7 +295,7 @@ class TableFile:
     def _less_rows(self) -> str:
         return " less j // 2, as hexagons are counted" if self.lattice.hexagonal else ""
 
-    def _whole(self, made: Floats) -> Floats:
+    def _whole(self, made: Floats, names: Sequence[str]) -> Floats:
         """Numbers of every cell, 0 and the law's η where it is not kept; refuse a kept one without any."""
         missing = np.isnan(made[..., 0])
         for j in np.flatnonzero(missing.any(axis=0)).tolist():
@@ -295,28 +307,35 @@ class TableFile:
                     f"cell ({lacking[0, 0]}, {j}) is missing",
                     allowed=f"a row for each of {self.lattice.cell_count:,} cells",
                 )
-        return np.where(missing[..., None], (0.0, 0.0, self.eta)[: made.shape[2]], made)
+        return np.where(missing[..., None], (0.0, 0.0, *(self.eta[ETAS[name][0]] for name in names)), made)
 
-    def _has_lens(self, eta: Floats) -> Bools:
+    def _has_lens(self, eta: Floats, name: str) -> Bools:
         """Whether each η (...) gives lenses with the signs of the law's lenses."""
-        low, high = _eta_range(self.eta)
+        low, high = self._range(name)
         size = np.abs(eta)
         return np.asarray((low < eta) & (eta < high) & (size >= LEAST_ETA) & (size <= LARGEST))
 
-    def _etas(self) -> str:
+    def _range(self, name: str) -> tuple[float, float]:
+        """Open interval of the η that a column or array may have; an empty one is (low, high ≤ low)."""
+        low, high = zip(*(_eta_range(self.eta[axis]) for axis in ETAS[name]), strict=True)
+        return max(low), min(high)
+
+    def _etas(self, name: str) -> str:
         """Describe the η that cells may have."""
-        low, high = _eta_range(self.eta)
+        low, high = self._range(name)
+        if low >= high:
+            return "eta_x and eta_y: those of law.eta lie on two sides of 0 or 1, where no one number does"
         low, high = max(low, -LARGEST), min(high, LARGEST)
         return (
-            f"a number between {low:g} and {high:g}, |eta| >= {LEAST_ETA:g}: both lenses as law.eta ="
-            f" {self.eta:g} bends them"
+            f"a number between {low:g} and {high:g}, |{name}| >= {LEAST_ETA:g}: both lenses as law.eta ="
+            f" {self.eta[ETAS[name][0]]:g} bends them"
         )
 
     # --- NPZ ------------------------------------------------------------------------------------------
 
     def _of_array(self) -> CellNumbers:
         """Read the arrays after validating their headers; never read more than the size in the header."""
-        most = 48 * self.lattice.count[0] * self.lattice.count[1] + (1 << 20)
+        most = 64 * self.lattice.count[0] * self.lattice.count[1] + (1 << 20)
         if (
             size := os.stat(self.path).st_size
         ) > most:  # the library makes an object of each entry before any is validated
@@ -324,7 +343,8 @@ class TableFile:
         try:
             with zipfile.ZipFile(self.path) as archive:
                 names = archive.namelist()
-                deltas, etas = self._entry(archive, names, ARRAY), self._entry(archive, names, ETA)
+                deltas = self._entry(archive, names, ARRAY)
+                etas = {name: one for name in ETAS if (one := self._entry(archive, names, name)) is not None}
         except (
             zipfile.BadZipFile,
             zlib.error,
@@ -338,7 +358,8 @@ class TableFile:
             )
         if deltas is None:
             self.refuse(f"no array {ARRAY!r} in the archive", allowed=self._shapes())
-        others = [name for name in names if name.removesuffix(".npy") not in (ARRAY, ETA)]
+        own = [name for name in etas if name == "eta" or "eta" not in etas]
+        others = [name for name in names if name.removesuffix(".npy") not in (ARRAY, *own)]
         if others:  # an ignored array would seem to be built
             self.refuse(
                 f"{printable(others[0])[:100]} is none of the arrays that are read", allowed=self._shapes()
@@ -350,7 +371,8 @@ class TableFile:
                 f"delta[{i}, {j}, {axis}] = {deltas[i, j, axis]} is out of range",
                 allowed=f"numbers from -{LARGEST:g} to {LARGEST:g}",
             )
-        return CellNumbers(deltas, None if etas is None else self._kept_etas(etas))
+        kept = {name: self._kept_etas(each, name) for name, each in etas.items()}
+        return CellNumbers(deltas, self._of_both(kept))
 
     def _entry(self, archive: zipfile.ZipFile, names: list[str], name: str) -> Floats | None:
         """One array of the archive; None where no array has this name."""
@@ -362,23 +384,24 @@ class TableFile:
         with archive.open(found[0]) as stream:
             return self._array(stream, name)
 
-    def _kept_etas(self, etas: Floats) -> Floats:
+    def _kept_etas(self, etas: Floats, name: str) -> Floats:
         """η of every cell, the law's for cells that are not kept; refuse a kept cell with η out of range."""
-        for j in np.flatnonzero((~self._has_lens(etas)).any(axis=0)).tolist():
-            row = self.lattice.row(j)
-            places = places_in_rows(self.lattice, row)
-            bad = places[~self._has_lens(etas[places, j])]
+        lensed = self._has_lens(etas, name)
+        for j in np.flatnonzero((~lensed).any(axis=0)).tolist():
+            places = places_in_rows(self.lattice, self.lattice.row(j))
+            bad = places[~lensed[places, j]]
             if len(bad):
-                self.refuse(f"eta[{bad[0]}, {j}] = {etas[bad[0], j]} is out of range", allowed=self._etas())
-        return np.where(self._has_lens(etas), etas, self.eta)
+                why = f"{name}[{bad[0]}, {j}] = {etas[bad[0], j]} is out of range"
+                self.refuse(why, allowed=self._etas(name))
+        return np.where(lensed, etas, self.eta[ETAS[name][0]])
 
     def _array(self, stream: IO[bytes], name: str) -> Floats:
-        shapes = {ARRAY: (*self.lattice.count, 2), ETA: self.lattice.count}
+        wanted = (*self.lattice.count, 2) if name == ARRAY else tuple(self.lattice.count)
         try:
             shape, fortran, kind = array_head(stream)
         except ValueError as error:
             self.refuse(f"array {name!r}: {error}", allowed=self._shapes())
-        if shape != tuple(shapes[name]) or kind.kind not in "fiu" or fortran:
+        if shape != wanted or kind.kind not in "fiu" or fortran:
             pickled = ": pickled objects are not read" if kind.hasobject else ""
             self.refuse(
                 f"array {name!r} is {shape} of {kind}{', Fortran order' if fortran else ''}{pickled}",
@@ -393,4 +416,4 @@ class TableFile:
 
     def _shapes(self) -> str:
         n1, n2 = self.lattice.count
-        return f"array {ARRAY!r} ({n1}, {n2}, 2) of numbers, C order; perhaps {ETA!r} ({n1}, {n2})"
+        return f"array {ARRAY!r} ({n1}, {n2}, 2) of numbers, C order; perhaps 'eta', or 'eta_x' and 'eta_y' ({n1}, {n2})"

@@ -172,11 +172,6 @@ _TWICE: Final = (
     ("turned array", "sharp pairs", _PLACES),
     ("other pitch", "sharp pairs", "both state the pitch of array 2"),
     ("given faces", "sharp pairs", "both state the radii of the lenses"),
-    (
-        "eta_x and eta_y that differ",
-        ETAS,
-        "its lenses are one figure in many sizes, the same along both axes",
-    ),
 )
 """Two features that exclude one another, and the reason."""
 

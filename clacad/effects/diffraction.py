@@ -19,7 +19,6 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.arrays import distinct
 from clacad.base.text import nm_text
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
@@ -108,8 +107,8 @@ def _lit_by_cell(cells: ThinCells, direction: Floats, order: NDArray[np.int32], 
     ratio = scale_of_image(cells, index)
     assert ratio is not None  # the caller has checked it
     widths = np.empty((len(index), 2))
-    for scale in distinct(ratio):
-        here = ratio == scale
+    for scale in np.unique(ratio, axis=0):
+        here = (ratio == scale).all(axis=1)
         widths[here] = lit_widths(replace(cells, image=cells.image * scale), direction[here], order[here])
     return widths
 

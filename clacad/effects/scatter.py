@@ -65,7 +65,7 @@ def _by_cell(window: Window, cell: Ints, slope_rms: float) -> Floats:
     scale = scale_of_image(cells, cell)
     assert scale is not None  # the caller has checked it
     one, two = (faces_of_lens(window, array) for array in (0, 1))
-    ratio = scale[:, None] * np.array(focal_ratio(window.thin))
+    ratio = scale * np.array(focal_ratio(window.thin))
     return np.asarray((index - 1.0) * slope_rms * np.sqrt(two + one / ratio**2))
 
 

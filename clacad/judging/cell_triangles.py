@@ -25,7 +25,7 @@ from clacad.mesh.border_samples import in_corners
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.plate import Hole, Plate
 from clacad.sheet.volume_and_extent import distance_in_cell
-from clacad.sheet.window import WALL, Body, Face, Window, lens_height
+from clacad.sheet.window import WALL, Body, Face, Window, heights_of_lenses, lens_height
 from clacad.solid.marks import pockets
 from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, FacetBody, FacetFace, facet_face, on_land
 
@@ -388,7 +388,7 @@ def height_above(window: Window, face: Face, points: Floats, cells: Ints) -> Flo
     """
     assert face.array is not None
     local, places = points[:, :2] - window.centres(face.array, cells), window.lenses(face, cells)
-    above = points[:, 2] - places.raised(lens_height(face, *places.seen(*local.T)))
+    above = points[:, 2] - heights_of_lenses(face, places, *local.T)
     above = np.where(window.lattice.contains(cells), above, np.nan)
     if face.land is None:
         return above

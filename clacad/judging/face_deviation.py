@@ -14,7 +14,15 @@ from clacad.base.types import Floats, Ints
 from clacad.judging.cell_triangles import CellFacets, body_facing, exact_height, levels, owner, telescopelet
 from clacad.sheet.face_order import media_of
 from clacad.sheet.vignetting import focal_ratio
-from clacad.sheet.window import Face, Window, column, face_height, lens_height, lens_height_and_normal
+from clacad.sheet.window import (
+    Face,
+    Window,
+    column,
+    face_height,
+    heights_and_normals_of_lenses,
+    heights_of_lenses,
+    lens_height_and_normal,
+)
 from clacad.tracing.facets.telescopelet import FacetBody, FacetFace, first_crossing, on_land
 
 STEEP = 0.3
@@ -146,15 +154,14 @@ def _compare_points(
         return
     places = window.lenses(face, cell)
     height = face_height(window, face, x, y, cell)
-    own = places.raised(lens_height(face, *places.seen(x, y)))
+    own = heights_of_lenses(face, places, x, y)
     flat = ~(np.abs(height - own) <= 1e-12 * window.lattice.circumradius)
     outside = ~window.lattice.contains(cell)
     if outside.any():  # plain border, or no material
         height = np.where(outside, np.nan if face.land is None else face.land, height)
         flat |= outside
     back = np.zeros((len(points), 2)) if aside is None else aside[:, :2]
-    lens, normal = lens_height_and_normal(face, *places.seen(x - back[:, 0], y - back[:, 1]))
-    lens = places.raised(lens)
+    lens, normal = heights_and_normals_of_lenses(face, places, x - back[:, 0], y - back[:, 1])
     height = np.where(flat | ~np.isfinite(lens), height, lens)
     normal = np.where(flat[:, None], [0.0, 0.0, 1.0], normal)
     normal[np.isnan(height)] = np.nan

@@ -18,7 +18,7 @@ import numpy as np
 
 from clacad.base.arrays import distinct
 from clacad.base.types import Bools, Floats, Ints
-from clacad.optics.surface import Quadric, sag, simplest
+from clacad.optics.surface import Quadric, sag
 from clacad.optics.surface.intersection import meet
 from clacad.sheet.pattern import Step
 from clacad.sheet.window import Body, Face, Window, lens_height
@@ -175,7 +175,7 @@ class CellLevels:
                 out[:, n] = face.vertex[2]
             elif self.sheet is not None:
                 x, y, z = face.vertex
-                out[:, n] = z + _over_apex(face, xy[:, 0] - x, xy[:, 1] - y)
+                out[:, n] = z + _over_apex(face.simplified, xy[:, 0] - x, xy[:, 1] - y)
             else:
                 out[:, n] = lens_height(face, xy[:, 0], xy[:, 1])
         return out
@@ -193,7 +193,11 @@ class CellLevels:
                 places = self.window.lenses(face, own)
                 x, y, z = places.apex
                 size = 1.0 if places.size is None else places.size
-                out[..., n] = z + size * _over_apex(face, (xy[:, 0] - x) / size, (xy[:, 1] - y) / size)
+                p, q = np.broadcast_arrays((xy[:, 0] - x) / size, (xy[:, 1] - y) / size)
+                lens = face.simplified
+                if places.aspect is not None:
+                    lens = replace(face, surface=places.shape(face.surface, p.shape))
+                out[..., n] = z + size * _over_apex(lens, p, q)
         return out
 
     def levels(self, heights: Floats) -> Ints:
@@ -226,11 +230,12 @@ class CellLevels:
 
 def _over_apex(face: Face, x: Floats, y: Floats) -> Floats:
     """Height of a lens above its apex over points (...) relative to it; equal points give equal bits."""
-    surface = simplest(face.surface)
+    surface = face.surface
     if face.untilted and not isinstance(surface, Quadric):
-        return sag(surface, x, y)  # upright: its sag needs no ray
+        shape = np.shape(x)  # upright: its sag needs no ray
+        return sag(surface, x.ravel(), y.ravel()).reshape(shape)
     if face.untilted:
-        alone = replace(face, surface=surface, vertex=(0.0, 0.0, 0.0))
+        alone = replace(face, vertex=(0.0, 0.0, 0.0))
         return lens_height(alone, x.ravel(), y.ravel()).reshape(x.shape)
     start = np.stack([x * across + y * along for across, along in face.rotation[:2].T], axis=-1).reshape(
         -1, 3

@@ -26,7 +26,7 @@ from clacad.sheet.grid_steps import plate_of
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.plate import Plate
-from clacad.sheet.window import Body, Face, Window, lens_height_and_normal
+from clacad.sheet.window import Body, Face, Window, heights_and_normals_of_lenses, lens_height_and_normal
 from clacad.topology.build_complex import cell_complex, saddle_count
 from clacad.topology.complex_parts import CannotBuild, CellComplex, Tiling, refuse_buried_land
 
@@ -475,8 +475,8 @@ def own_normals(mesh: BodyMesh, block: OwnBlock) -> Floats:
         facet, corner = np.divmod(first, 3)
         cells, points = owners[mine[facet]], block.facets[mine[facet], corner, :2]
         centres = block.tiled.lattice.centres(cells) + np.array(block.tiled.shift)
-        x, y = mesh.window.lenses(face, cells).seen(*(points - centres).T)
-        return lens_height_and_normal(face, x, y)[1][which]
+        places = mesh.window.lenses(face, cells)
+        return heights_and_normals_of_lenses(face, places, *(points - centres).T)[1][which]
 
     return _with_exact(_facet_normals(block.facets), kinds, mesh.body, exact)
 

@@ -15,8 +15,9 @@ lens 2 refracts its light too far, by 6 mrad at a slope of .125 and R2/p = 5, wh
 
 Lenses of a sheet with an η per cell are those of the sheet's law, scaled in each cell.
 
-All pairs share one separation s and are afocal at it: f1 = s/(1 − η), f2 = −η f1. With equal η along both
-axes, a lens of another focal length has the same shape (conic constants included), scaled by k:
+All pairs share one separation s and are afocal at it: f1 = s/(1 − η), f2 = −η f1 along each axis. A lens of
+another focal length has the same shape (conic constants included), scaled by k, which is that of the axis x;
+where k of the axis y differs, its curvature along y is first multiplied by k_x/k_y (`stretched`):
 
     slab, plano, thin recipe    k1 = (1 − η0)/(1 − η),  k2 = k1 η/η0           η0: of the sheet's law
     biconvex, thick             k = R/R0 of the pair that is confocal with exactly η at the common thicknesses
@@ -38,7 +39,7 @@ from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.asked_cells import cell_laws
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.optics.law.focusing import ratios_of, refract_each
-from clacad.optics.surface import Quadric
+from clacad.optics.surface import EvenPolynomial, Quadric
 from clacad.prescription.aimed_cells import STEEPEST, AimPoint, aimed
 from clacad.prescription.bodies import FieldCells
 from clacad.prescription.field_lens import FieldOfCells, plate_of_cells, plates_of_cells, symmetric_foci
@@ -81,9 +82,9 @@ ROUNDED = 1e-12
 class CellSizes:
     """Scale factors of the lenses of cells, relative to those of the sheet's law.
 
-    built : (2, n). Of lens 1 and lens 2 as built.
-    thin : (2, n). Of the equivalent thin lenses.
-    focal : (n,). Displacement of lens 2 over δ, the focal length of an afocal lens 1, over the sheet's.
+    built : (2, n, 2). Of lens 1 and lens 2 as built, along the lens axes.
+    thin : (2, n, 2). Of the equivalent thin lenses.
+    focal : (n, 2). Displacement of lens 2 over δ, the focal length of an afocal lens 1, over the sheet's.
 
     field : Field lenses of the cells, with a column for the law's η before them; None without any.
     """
@@ -220,8 +221,10 @@ def _targets(placed: Window, design: Design, aim: AimPoint | None) -> Targets:
     deltas = (CellLaws(placed.law) if laws is None else laws).deltas(lattice, cells)
     sizes = None if laws is None or laws.ratios is None else sizes_of(placed, design, laws)
     if design.pair.focus is not None and placed.law.theta != 0.0:
-        built, thin = (np.stack([size, np.ones(len(size))]) for size in inclined_sizes(placed, design, cells))
-        return Targets(cells, deltas, slopes, CellSizes(built, thin, np.ones(len(cells))), PAIR.focus)
+        built, thin = (
+            _both(np.stack([size, np.ones(len(size))])) for size in inclined_sizes(placed, design, cells)
+        )
+        return Targets(cells, deltas, slopes, CellSizes(built, thin, np.ones((len(cells), 2))), PAIR.focus)
     return Targets(cells, deltas, slopes, sizes)
 
 
@@ -245,23 +248,24 @@ def _light(window: Window, targets: Targets, first: Floats, slope: Pair2, aims: 
         variables.append(targets.deltas)
     own = None
     if etas is not None:
-        variables.append(etas[:, :1])
+        variables.append(etas if (etas[:, 0] != etas[:, 1]).any() else etas[:, :1])
     if targets.sizes is not None:
-        ratio = np.full(len(targets.cells), window.law.eta_x) if etas is None else etas[:, 0]
+        ratio = np.full((len(targets.cells), 2), window.law.eta_x) if etas is None else etas
         field = None if targets.sizes.field is None else targets.sizes.field.size
-        own = OwnLenses(targets.sizes.built, np.minimum(1.0, 1.0 / np.abs(ratio)), field)
+        fill = np.minimum(1.0, 1.0 / np.abs(ratio).max(axis=1))
+        own = OwnLenses(*_scales(targets.sizes.built), fill, field)
     return CellLight(targets.slopes, asked, first, np.column_stack(variables), targets.key, slope, own)
 
 
 def _by_rule(window: Window, deltas: Floats, focal: Floats, turn: Floats, size: Floats | None) -> Floats:
     """Displacement (n, 2) of lens 2, lengths, by d = δ f1 from δ (n, 2).
 
-    `focal` (2,) is f1 of the law, turn (3, 3) lens → sheet, `size` (n,) the ratio of each cell's f1 to the
+    `focal` (2,) is f1 of the law, turn (3, 3) lens → sheet, `size` (n, 2) the ratio of each cell's f1 to the
     law's; None: 1.
     """
     law = window.law
     if size is not None:
-        deltas = deltas * size[:, None]
+        deltas = deltas * size
     over = deltas - (law.delta_x, law.delta_y)
     lens = np.where(over == 0.0, 0.0, over * np.where(np.isfinite(focal), focal, 0.0))
     return np.asarray(lens @ turn[:2, :2].T)
@@ -272,14 +276,16 @@ def _by_rule(window: Window, deltas: Floats, focal: Floats, turn: Floats, size: 
 
 def _with_tables(window: Window, targets: Targets, table: Floats, slope: Pair2) -> Window:
     """Window with lenses 2 displaced by `table` (n, 2), lengths, in addition, and lenses of many sizes."""
-    sizes = [None, None] if targets.sizes is None else _tables(window, targets, targets.sizes.built)
+    sizes: list[dict[str, Any]] = [{}, {}]
+    if targets.sizes is not None:
+        sizes = _tables(window, targets, targets.sizes.built)
     moved = as_table(window.lattice, targets.cells, table)
 
     def changed(face: Face) -> Face:
         if face.array == 1:
             return replace(face, change=_change(face.change, moved, slope, sizes[1]))
-        if face.array == 0 and sizes[0] is not None:
-            return replace(face, change=VertexChange(size=sizes[0]))
+        if face.array == 0 and sizes[0]:
+            return replace(face, change=VertexChange(**sizes[0]))
         return face
 
     return replace(window, bodies=changed_faces(window.bodies, changed))
@@ -312,7 +318,7 @@ def _thin_fields(window: Window, targets: Targets) -> tuple[FieldLens, ...]:
     if targets.sizes is None or targets.sizes.field is None:
         return pair.field
     (lens,), cells = pair.field, targets.cells
-    first, second = targets.sizes.thin
+    first, second = targets.sizes.thin[..., 0]
     apart = pair.shift + _followed(pair.second, window, cells)
     rise = lens.depth * (first - 1.0)
     change = VertexChange(
@@ -331,25 +337,44 @@ def _thin(window: Window, targets: Targets, inclined: bool) -> ThinPair:
     ideal = _by_rule(window, targets.deltas, np.array(focal), pair.rotation, ratio)
     if inclined:
         ideal = ideal - _followed(pair.second, window, targets.cells)
-    size = [None, None] if sizes is None else _tables(window, targets, sizes.thin)
+    size: list[dict[str, Any]] = [{}, {}] if sizes is None else _tables(window, targets, sizes.thin)
     change = _change(
         pair.change, as_table(window.lattice, targets.cells, ideal), lens_plane_slope(pair.rotation), size[1]
     )
-    first = None if size[0] is None else VertexChange(size=size[0])
+    first = VertexChange(**size[0]) if size[0] else None
     return replace(pair, change=change, change_1=first, field=_thin_fields(window, targets))
 
 
-def _change(affine: VertexChange | None, table: Floats, slope: Pair2, size: Floats | None) -> VertexChange:
+def _change(
+    affine: VertexChange | None, table: Floats, slope: Pair2, size: Mapping[str, Any]
+) -> VertexChange:
     """Displacements of `affine`, which keeps lens 2 in place while its cell moves, and a table (lengths)."""
     affine = affine or VertexChange()
     (xx, xy), (yx, yy) = affine.gradient
     along, across = affine.climb
     climb = along - (slope[0] * xx + slope[1] * yx), across - (slope[0] * xy + slope[1] * yy)
-    return VertexChange(affine.gradient, table, slope, size, climb)
+    return VertexChange(affine.gradient, table, slope, climb=climb, **size)
 
 
-def _tables(window: Window, targets: Targets, sizes: Floats) -> list[Floats]:
-    return [as_table(window.lattice, targets.cells, size, 1.0) for size in sizes]
+def _tables(window: Window, targets: Targets, sizes: Floats) -> list[dict[str, Any]]:
+    """Size, and aspect where it differs from 1, of both lenses as `VertexChange` has them."""
+    size, aspect = (
+        None if one is None else [as_table(window.lattice, targets.cells, each, 1.0) for each in one]
+        for one in _scales(sizes)
+    )
+    assert size is not None
+    return [{"size": size[k]} | ({} if aspect is None else {"aspect": aspect[k]}) for k in (0, 1)]
+
+
+def _both(values: Floats) -> Floats:
+    """Values (...) for both lens axes, (..., 2)."""
+    return np.repeat(values[..., None], 2, axis=-1)
+
+
+def _scales(sizes: Floats) -> tuple[Floats, Floats | None]:
+    """Scale factors (2, n) of two lenses, and curvature along y over that of the scaled ones; None: 1."""
+    x, y = np.moveaxis(sizes, -1, 0)
+    return x, None if np.array_equal(x, y) else x / y
 
 
 def _refuse_far(window: Window, targets: Targets, table: Floats, aims: bool) -> None:
@@ -365,7 +390,7 @@ def _refuse_far(window: Window, targets: Targets, table: Floats, aims: bool) -> 
         place = np.abs(np.asarray(face.vertex[:2]) + (still + table)) + half
         curved = np.broadcast_to(np.abs([face.surface.curvature_x, face.surface.curvature_y]), place.shape)
         if targets.sizes is not None:
-            curved = curved / targets.sizes.built[1][:, None]
+            curved = curved / targets.sizes.built[1]
         steep = place * curved
         worst = np.unravel_index(int(np.argmax(steep)), steep.shape)
         if not steep[worst] <= STEEPEST:
@@ -399,14 +424,17 @@ def sizes_of(window: Window, design: Design, laws: CellLaws) -> CellSizes:
         `STEP`. The message names the cell.
     """
     cells = window.lattice.cells()
-    etas = laws.ratios_of(window.lattice, cells)[:, 0]
-    thin, thick = thin_sizes(etas, window.law.eta_x), thick_lenses(design)
+    etas = laws.ratios_of(window.lattice, cells)
+    thin, thick = thin_sizes(etas, np.array(ratios_of(window.law))), thick_lenses(design)
+    _refuse_axes(window, thin)
     if design.pair.form == "biconvex":
         _refuse_steps(window, cells, etas)
     if window.field_array:
-        built, focal, field = _with_plates(window, design, cells, etas, thick)
+        one, over, field = _with_plates(window, design, cells, etas[:, 0], thick)
+        built, focal = _both(one), _both(over)
     elif thick:
-        found, field = _thick(window, cells, etas), None
+        along = [_thick(window, cells, own, axis) for axis, own in enumerate(etas.T)]
+        found, field = np.stack(along, axis=-1), None
         built, focal = found[:2], found[2]
     else:
         built, focal, field = thin, thin[0], None
@@ -451,20 +479,37 @@ def _with_plates(
     return focal[:, 1:] / focal[:, :1], over[1:] / over[0], own
 
 
-def thin_sizes(etas: Floats, eta: float) -> Floats:
-    """Focal lengths (2, n) of pairs with `etas` (n,), over those of a pair with `eta` at the same s."""
+def thin_sizes(etas: Floats, eta: Floats) -> Floats:
+    """Focal lengths (2, n, 2) of pairs with `etas` (n, 2), over those of a pair with `eta` (2,) at the same
+    s.
+    """
     first = (1.0 - eta) / (1.0 - etas)
     return np.stack([first, first * (etas / eta)])
 
 
-def _thick(window: Window, cells: Ints, etas: Floats, plated: bool = False) -> Floats:
-    """Radii of thick lenses 1 and 2, and focal length and focus of lens 1, of n cells, (4, n).
+def _refuse_axes(window: Window, sizes: Floats) -> None:
+    """Refuse lenses whose two axes differ otherwise than those of the sheet's law, where none are made."""
+    if np.array_equal(sizes[..., 0], sizes[..., 1]):
+        return
+    even = any(isinstance(face.surface, EvenPolynomial) for face in window.faces)
+    if even or window.field_array:
+        raise NoSuchLens(
+            "cells with an eta_x and an eta_y each have lenses of their own along both axes: "
+            + ("given even terms state one form" if even else "each would need two foci for its field lens"),
+            SIZES_KEY,
+            "faces without a4, a6 and a8" if even else "field_lens = false, or one eta for both axes",
+            "CL127",
+        )
+
+
+def _thick(window: Window, cells: Ints, etas: Floats, axis: int = 0, plated: bool = False) -> Floats:
+    """Radii of thick lenses 1 and 2, and focal length and focus of lens 1, of n cells, (4, n), in a meridian.
 
     All but the focus (height over the centre of lens 1, length) are over those for the sheet's law. Behind a
     field plate (`plated`), which is thinner where its front rises, they are lengths.
     """
     recipe = window.recipe
-    base = _thick_pair(recipe, window.law.eta_x)
+    base = _thick_pair(recipe, ratios_of(window.law)[axis])
     focus = symmetric_foci(base.radius[0], recipe["T"][0], recipe["n"])[0]
     values, first, which = np.unique(etas, return_index=True, return_inverse=True)
     found = np.empty((4, len(values)))
@@ -473,7 +518,7 @@ def _thick(window: Window, cells: Ints, etas: Floats, plated: bool = False) -> F
             pair = _thick_pair(recipe, eta, focus if plated else None)
         except NoSuchLens as error:
             i, j = cells[first[k]].tolist()
-            message = f"cell ({i}, {j}), eta = {eta:g}: {error.message}"
+            message = f"cell ({i}, {j}), eta = {eta:g} along {'xy'[axis]}: {error.message}"
             raise NoSuchLens(message, SIZES_KEY, error.hint) from error
         numbers = pair.radius[0][0], pair.radius[1][0], pair.focal_length[0][0]
         bases = base.radius[0][0], base.radius[1][0], base.focal_length[0][0]
@@ -513,9 +558,11 @@ def _worst_step(window: Window, cells: Ints, each: Floats) -> tuple[float, Ints]
     return worst, pair
 
 
-def _refuse_steps(window: Window, cells: Ints, etas: Floats) -> None:
-    """Refuse biconvex neighbours whose η differ by more than `STEP`, naming the worst."""
-    apart, pair = _worst_step(window, cells, etas)
+def _refuse_steps(window: Window, cells: Ints, each: Floats) -> None:
+    """Refuse biconvex neighbours whose η (n, 2) differ by more than `STEP`, naming the worst."""
+    found = [_worst_step(window, cells, etas) for etas in each.T]
+    axis = int(found[1][0] > found[0][0])
+    (apart, pair), etas = found[axis], each[:, axis]
     if apart > STEP * (1.0 + ROUNDED) + ROUNDED:
         (i, j), (k, m) = pair.tolist()
         here, there = (etas[np.all(cells == one, axis=1)][0] for one in pair)
@@ -569,10 +616,10 @@ def _refuse_small(window: Window, cells: Ints, etas: Floats, sizes: Floats) -> N
     reach = window.lattice.circumradius
     for array, size in enumerate(sizes):
         face = next(face for face in window.faces if face.array == array)
-        radius = size / abs(face.surface.curvature_x)
-        worst = int(np.argmin(radius))
+        radius = size / np.abs([face.surface.curvature_x, face.surface.curvature_y])
+        worst = np.unravel_index(int(np.argmin(radius)), radius.shape)
         if radius[worst] < reach:
-            i, j = cells[worst].tolist()
+            i, j = cells[worst[0]].tolist()
             raise NoSuchLens(
                 f"lens {array + 1} of cell ({i}, {j}), eta = {etas[worst]:g}, would have the radius"
                 f" {radius[worst]:.6g}, less than half the diagonal of its cell ({reach:.6g}): the surface"

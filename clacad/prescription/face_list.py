@@ -55,7 +55,7 @@ from clacad.prescription.radii import LensPair, NoSuchLens, thin_focal_lengths
 from clacad.sheet.cell_places import extreme_cells
 from clacad.sheet.face_order import refractions
 from clacad.sheet.volume_and_extent import FIELD
-from clacad.sheet.window import PLANE, Face, Window, lens_height
+from clacad.sheet.window import PLANE, Face, Window, heights_of_lenses
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -200,7 +200,7 @@ def _step(window: Window, face: Face) -> float:
         heights = []
         for one, points in zip(index, (here, here - np.asarray(lattice.offset(*step))), strict=True):
             places = window.lenses(face, one)
-            heights.append(places.raised(lens_height(face, *places.seen(*points.T))))
+            heights.append(heights_of_lenses(face, places, *points.T))
         found = max(found, float(np.abs(heights[0] - heights[1]).max(initial=0.0)))
     return found
 

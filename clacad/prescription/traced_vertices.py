@@ -23,6 +23,7 @@ from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.sections import LATTICE
 from clacad.optics.rays import Fate
 from clacad.optics.sequence import Interface, cross, launch, pass_on, unit_directions
+from clacad.optics.surface import stretched
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.face_order import refractions
 from clacad.sheet.like_cell import interfaces
@@ -86,18 +87,21 @@ class OwnLenses:
     """Lenses of cells with different sizes.
 
     sizes : (2, m). Scale factors of lens 1 and lens 2, relative to the window's.
+    aspect : (2, m) or None. Curvature of both along y over that of the scaled lens; None: 1 for all.
     fill : (m,). Part of the cell whose light lens 2 can accept.
     field : (k, m) or None. Scale factors of the faces of the field lens, in the order of the light.
     """
 
     sizes: Floats
+    aspect: Floats | None
     fill: Floats
     field: Floats | None = None
 
     def of(self, rows: Ints) -> OwnLenses:
         """Lenses of some cells, by their indices (k,) in the list."""
         field = None if self.field is None else self.field[:, rows]
-        return OwnLenses(self.sizes[:, rows], self.fill[rows], field)
+        aspect = None if self.aspect is None else self.aspect[:, rows]
+        return OwnLenses(self.sizes[:, rows], aspect, self.fill[rows], field)
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,6 +232,8 @@ def _solved(window: Window, light: CellLight, start: Floats | None = None) -> Fl
     inverse[:] = turned @ np.diag(np.where(np.isfinite(focal), focal, 0.0)) @ turned.T
     if light.own is not None:
         inverse *= light.own.sizes[1][:, None, None]
+        if light.own.aspect is not None:
+            inverse[:, :, 1] /= light.own.aspect[1][:, None]
     allowed = BRACKET * min(window.lattice.pitch) + SHARE * np.abs(light.first).max(axis=1)
     move = np.clip(0.0 if start is None else start, -allowed[:, None], allowed[:, None]) + np.zeros((1, 2))
     error = _bias(seq, owners, points, light, light.first + move)
@@ -282,6 +288,9 @@ def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLi
             offset, travelled = pass_on(offset, seq[k - 1].vertex, interface.vertex), np.zeros(m * n)
             offset = offset + slide[k - 1] - slide[k]
         size = sizes[k]
+        if light.own is not None and light.own.aspect is not None and owners[k] != FIELD:
+            aspect = np.repeat(light.own.aspect[owners[k]], n)
+            interface = replace(interface, surface=stretched(interface.surface, aspect))
         crossing = cross(interface, offset / size, direction, travelled / size[..., 0])
         offset, direction = (
             crossing.offset * size,

@@ -17,7 +17,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.sheet.cell_places import LensPlaces
-from clacad.sheet.window import Body, Face, Window, face_height, lens_height
+from clacad.sheet.window import Body, Face, Window, face_height, heights_of_lenses
 
 Region = tuple[Floats, Floats, Floats]
 """A parallelogram: origin and two sides, (2,) lengths each."""
@@ -69,16 +69,15 @@ def _smooth_sum(
 ) -> tuple[float, float] | None:
     """As `lens_integrals`, interpolated between lenses of a grid of places; None where that does not pay."""
     assert places.moved is not None
-    at = places.moved if places.size is None else np.column_stack([places.moved, places.size])
+    changes = [one for one in (places.size, places.aspect) if one is not None]
+    at = np.column_stack([places.moved, *changes])
     knots, grid = _grid_of_places(at, degree)
     if len(grid) >= len(at):
         return None
     tried = np.linspace(0, len(at) - 1, TRIED).astype(np.int64)
     tried = np.concatenate([tried, at.argmin(axis=0), at.argmax(axis=0)])
     own = np.concatenate([grid, at[tried]])
-    made = _over_zone(
-        face, LensPlaces(face.vertex, own[:, :2], 0.0, None if places.size is None else own[:, 2]), zone
-    )
+    made = _over_zone(face, LensPlaces(face.vertex, own[:, :2], 0.0, *own.T[2:]), zone)
     if made is None:
         return None
     values, errors = made
@@ -127,10 +126,9 @@ def _over_zone(face: Face, places: LensPlaces, zone: Sequence[Region]) -> tuple[
             places.vertex,
             places.moved[some, None],
             np.broadcast_to(places.rise, made[0].shape)[some, None],
-            None if places.size is None else places.size[some, None],
+            *(None if one is None else one[some, None] for one in (places.size, places.aspect)),
         )
-        x, y = part.seen(*points.T[:, None])
-        heights = part.raised(lens_height(face, x.ravel(), y.ravel()).reshape(x.shape))
+        heights = heights_of_lenses(face, part, *points.T[:, None])
         made[:, some] = weights @ heights.T
     if not np.isfinite(made).all():
         return None

@@ -20,7 +20,7 @@ Law of each cell in sheets where cells have their own offset δ, and possibly th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 from clacad.base.pairs import Pair, pair, pair_sum, two_product
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.optics.law.focusing import Gradient, VaryingLaw, ratios_of, refract_each, with_ratios
+from clacad.optics.surface import Surface, stretched
 from clacad.sheet.pattern import cosine_and_sine, turned, turned_pairs
 
 if TYPE_CHECKING:
@@ -148,19 +149,32 @@ class LensPlaces:
     """Positions and sizes of the lenses of given cells, relative to the one lens that a face describes.
 
     A lens of another size is the same shape scaled about its apex: h(r) becomes k h(r/k), and angles are
-    unchanged.
+    unchanged. One of two η has another curvature along y before it is scaled (`stretched`).
 
     vertex : (3,) lengths. Apex of the face's lens.
     moved : (..., 2) or None, lengths
         Lateral displacement of the apexes from `vertex`; None: all lenses are the face's lens.
     rise : (...) lengths. Displacement of the apexes along z.
     size : (...) or None. Scale factor k; None: 1 for all.
+    aspect : (...) or None. Curvature along y over that of the scaled lens; None: 1 for all.
     """
 
     vertex: tuple[float, float, float]
     moved: Floats | None = None
     rise: Floats | float = 0.0
     size: Floats | None = None
+    aspect: Floats | None = None
+
+    def shape(self, surface: Surface, like: tuple[int, ...] | None = None) -> Surface:
+        """Surface of the lenses before they are scaled; `like`: of each of so many points, in one row."""
+        if self.aspect is None:
+            return surface
+        return stretched(surface, self.aspect if like is None else np.broadcast_to(self.aspect, like).ravel())
+
+    def focal(self, lengths: Pair2) -> tuple[Any, Any]:
+        """Focal lengths (...) along x and y of the lenses, from those of the one lens."""
+        size = 1.0 if self.size is None else self.size
+        return lengths[0] * size, lengths[1] * size / (1.0 if self.aspect is None else self.aspect)
 
     def seen(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Points (...), lengths, of the cells' frames mapped to the frame of the face's one lens."""
@@ -201,6 +215,8 @@ class VertexChange:
         plane keep their distance from lens 1.
     size : (n1, n2) array or None
         Scale factor of each cell's lens relative to the face's lens; indexed as `table`. None: 1 for all.
+    aspect : (n1, n2) array or None
+        Curvature along y of each cell's lens over that of the scaled one; only beside `size`.
     climb : (along x, along y). Additional rise in z per displacement of the cell's centre in the lattice: of
         lenses that do not move as their cells do.
     lift : (n1, n2) array or None, lengths. Additional rise of each cell's lens; indexed as `table`.
@@ -212,6 +228,7 @@ class VertexChange:
     size: Floats | None = None
     climb: Pair2 = (0.0, 0.0)
     lift: Floats | None = None
+    aspect: Floats | None = None
 
     def at(self, lattice: Lattice, index: Ints) -> Floats:
         """Displacement (..., 2), lengths, of cells `index` (..., 2); 0 for cells left out of a table."""
@@ -242,6 +259,7 @@ class VertexChange:
             (0.0 - a, b),
             None if self.size is None else self.size[:, ::-1],
             (0.0 - c, d),
+            aspect=None if self.aspect is None else self.aspect[:, ::-1],
         )
 
     def rise(self, lattice: Lattice, index: Ints, moved: Floats) -> Floats:
@@ -258,19 +276,22 @@ class VertexChange:
         lengths.
         """
         moved = self.at(lattice, index)
-        size = None if self.size is None else tabled(self.size, lattice, index, 1.0)
-        return LensPlaces(vertex, moved, self.rise(lattice, index, moved), size)
+        size, aspect = (
+            None if one is None else tabled(one, lattice, index, 1.0) for one in (self.size, self.aspect)
+        )
+        return LensPlaces(vertex, moved, self.rise(lattice, index, moved), size, aspect)
 
     def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> VertexChange:
         """Displacements of `count` cells in the centre of the lattice; a table is cut to them.
 
         Raises ValueError: The table has fewer cells.
         """
-        table, size, lift = (
-            None if whole is None else of_middle(whole, count, lattice)
-            for whole in (self.table, self.size, self.lift)
-        )
-        return replace(self, table=table, size=size, lift=lift)
+        cut: dict[str, Any] = {
+            name: of_middle(whole, count, lattice)
+            for name in ("table", "size", "lift", "aspect")
+            if (whole := getattr(self, name)) is not None
+        }
+        return replace(self, **cut)
 
 
 def linear_change(gradient: Floats, climb: Floats) -> VertexChange | None:
@@ -337,9 +358,10 @@ def extreme_cells(change: VertexChange, lattice: Lattice) -> Ints:
     angle = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     out = [moved @ (np.cos(a), np.sin(a)) for a in angle]
     if change.size is not None:
-        size = tabled(change.size, lattice, cells, 1.0)
-        rims = [lattice.circumradius + one for one in out]
-        out += [size, -size, *(rim / size for rim in rims), *(rim**2 / size for rim in rims)]
+        rims, places = [lattice.circumradius + one for one in out], change.places((0.0,) * 3, lattice, cells)
+        sizes = places.focal((1.0, 1.0))
+        for size in sizes[: 1 if change.aspect is None else 2]:
+            out += [size, -size, *(rim / size for rim in rims), *(rim**2 / size for rim in rims)]
     if change.lift is not None:
         lift = tabled(change.lift, lattice, cells, 0.0)
         out += [lift, -lift]
@@ -377,8 +399,8 @@ class CellLaws:
     gradient : ((K_xx, K_xy), (K_yx, K_yy)), 1/length. Rows: lens axes; columns: sheet axes.
     table : (n1, n2, 2) array or None
         δ of each cell, indexed as the table of `clacad.sheet.cell_places.VertexChange`.
-    ratios : (n1, n2) array or None. η, the ratio −f2/f1 of both lens axes, of each cell, given with such a
-        table; None: the law's η in all cells.
+    ratios : (n1, n2) or (n1, n2, 2) array or None. η, the ratio −f2/f1 of both lens axes or of each, of each
+        cell, given with such a table; None: the law's η in all cells.
     """
 
     law: Law
@@ -402,7 +424,9 @@ class CellLaws:
         """η (..., 2) of cells `index` (..., 2) along the lens axes; the law's for cells left out."""
         if self.ratios is None:
             return np.broadcast_to(ratios_of(self.law), (*index.shape[:-1], 2))
-        return np.repeat(tabled(self.ratios, lattice, index, ratios_of(self.law)[0])[..., None], 2, axis=-1)
+        each = self.ratios if self.ratios.ndim == 3 else np.repeat(self.ratios[..., None], 2, axis=-1)
+        kept = lattice.contains(index)[..., None]
+        return np.where(kept, tabled(each, lattice, index, 0.0), ratios_of(self.law))
 
     def law_at(self, lattice: Lattice, index: ArrayLike) -> Law:
         """Law of the cell `index` (2,). Raises IndexError: No such cell is kept."""

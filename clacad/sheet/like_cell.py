@@ -86,15 +86,13 @@ def _thin_pair(window: Window, index: Ints, first: Floats) -> ThinPair:
     lens_2 += [float(v) for v in lenses[1].apex]
     x, y, z = (float(v) for v in lens_2)
     focal_1, focal_2 = (
-        focal if one.size is None else (focal[0] * float(one.size), focal[1] * float(one.size))
-        for focal, one in zip(pair.focal_length, lenses, strict=True)
+        xy(np.array(one.focal(focal))) for focal, one in zip(pair.focal_length, lenses, strict=True)
     )
     field = []
     for lens in pair.field:
         depth, places = lens.in_cells(window.lattice, index)
-        size = 1.0 if places.size is None else float(places.size)
-        x, y = (one * size for one in lens.focal_length)
-        field.append(replace(lens, focal_length=(x, y), depth=float(depth), change=None))
+        focal = xy(np.array(places.focal(lens.focal_length)))
+        field.append(replace(lens, focal_length=focal, depth=float(depth), change=None))
     alike = replace(pair, pitch=None, turn=0.0, change=None, change_1=None, field=tuple(field))
     return replace(alike, focal_length=(focal_1, focal_2), offset=(x, y, z), shift=xy(apart))
 

@@ -14,7 +14,14 @@ import numpy as np
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints
 from clacad.sheet.cell_places import extreme_cells
-from clacad.sheet.window import Face, Window, lens_height, lens_height_and_normal, optical_tile
+from clacad.sheet.window import (
+    Face,
+    Window,
+    heights_of_lenses,
+    lens_height,
+    lens_height_and_normal,
+    optical_tile,
+)
 
 if TYPE_CHECKING:
     from clacad.sheet.lattice import Lattice
@@ -253,8 +260,7 @@ def _range_in(window: Window, face: Face, cells: Ints) -> Floats:
     t = np.linspace(0.0, 1.0, ALONG)[:-1, None, None]
     sides = ((1.0 - t) * tile + t * np.roll(tile, -1, axis=0)).reshape(-1, 2)
     places = window.lenses(face, cells[:, None])
-    x, y = places.seen(*sides.T[:, None])
-    heights = places.raised(lens_height(face, x.ravel(), y.ravel()).reshape(x.shape))
+    heights = heights_of_lenses(face, places, *sides.T[:, None])
     level = level_point(window, face)
     if level is not None and places.size is not None:
         x, y, z = (

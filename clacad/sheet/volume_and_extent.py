@@ -21,7 +21,7 @@ from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.face_order import plates_of
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.plate import Plate
-from clacad.sheet.window import Body, Face, Window, column, face_height, lens_height, optical_tile
+from clacad.sheet.window import Body, Face, Window, column, face_height, heights_of_lenses, optical_tile
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 DEPTH = 9
@@ -105,8 +105,7 @@ def _at_corners(window: Window, face: Face, cells: Ints) -> Floats:
     """Heights (n, m) of a face at the m corners of its optical zone in cells (n, 2)."""
     assert face.array is not None
     places = window.lenses(face, cells[:, None])
-    x, y = places.seen(*optical_tile(window, face.array).T[:, None])
-    return places.raised(lens_height(face, x.ravel(), y.ravel()).reshape(x.shape))
+    return heights_of_lenses(face, places, *optical_tile(window, face.array).T[:, None])
 
 
 def grams(body: Body, cubic: float) -> float | None:
@@ -335,8 +334,7 @@ def distance_in_cell(window: Window, face: Face, points: Floats, index: Ints) ->
     kept = lattice.contains(index)
     local = points[..., :2] - window.centres(face.array, index)[:, None]
     places = window.lenses(face, index[:, None])
-    x, y = places.seen(local[..., 0], local[..., 1])
-    lens = places.raised(lens_height(face, x.ravel(), y.ravel()).reshape(x.shape))
+    lens = heights_of_lenses(face, places, local[..., 0], local[..., 1])
     to_lens = np.where(kept[:, None] & np.isfinite(lens), np.abs(points[..., 2] - lens), inf)
     to_land = np.full_like(to_lens, inf) if face.land is None else np.abs(points[..., 2] - face.land)
     return np.asarray(np.minimum(to_lens, to_land))

@@ -32,6 +32,7 @@ from clacad.optics.surface.sag_and_normal import (
     other_side,
     resized,
     simplest,
+    stretched,
 )
 from clacad.sheet.cell_places import (
     CellLaws,
@@ -101,6 +102,8 @@ class Face:
     @property
     def simplified(self) -> Face:
         """The same points with a surface whose rays need no iteration, where there is one (`simplest`)."""
+        if self.change is not None and self.change.aspect is not None:
+            return self  # a quadric is stretched otherwise than the biconic
         surface = simplest(self.surface)
         return self if surface is self.surface else replace(self, surface=surface)
 
@@ -422,6 +425,11 @@ class Window(PlacedArrays):
         return any(face.change is not None and face.change.size is not None for face in self.faces)
 
     @property
+    def many_aspects(self) -> bool:
+        """Whether they differ along y from what their sizes say: each cell has an η_x and an η_y."""
+        return any(face.change is not None and face.change.aspect is not None for face in self.faces)
+
+    @property
     def uniform(self) -> bool:
         """Whether all cells of each array, and the displacements of their partners, are identical."""
         own = any(place.own for place in self.placements)
@@ -453,20 +461,13 @@ class Window(PlacedArrays):
         laws = CellLaws(self.law) if self.cell_laws is None else self.cell_laws
         return laws.law_at(self.lattice, index)
 
-    def seen_by_lens(self, face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Sheet points, (n,) each, in their cell's frame, mapped to the lens at `Face.vertex`, lengths."""
-        assert face.array is not None
-        index, x, y = self.locate(face.array, x, y)
-        return self.lenses(face, index).seen(x, y)
-
     def in_cell(self, face: Face, index: Ints) -> Face:
         """Face of the uniform equivalent of the cell at `index` (2,)."""
         if face.change is None:
             return face
         places = self.lenses(face, index)
         x, y, z = (float(v) for v in places.apex)
-        surface = face.surface if places.size is None else resized(face.surface, float(places.size))
-        return replace(face, surface=surface, vertex=(x, y, z), change=None)
+        return replace(face, surface=own_surface(face, places), vertex=(x, y, z), change=None)
 
     def with_cells(self, count: tuple[int, int]) -> Window:
         """Return the design with another cell count, centred on the origin, without a cut outline.
@@ -616,6 +617,36 @@ def lens_height_and_normal(face: Face, x: Floats, y: Floats) -> tuple[Floats, Fl
     return z.reshape(x.shape), normal.reshape((*x.shape, 3))
 
 
+def own_surface(face: Face, places: LensPlaces) -> Surface:
+    """Surface of the lens of one cell."""
+    stretch = 1.0 if places.aspect is None else float(places.aspect)
+    shape = face.surface if stretch == 1.0 else stretched(face.surface, stretch)
+    return shape if places.size is None else resized(shape, float(places.size))
+
+
+def heights_of_lenses(face: Face, places: LensPlaces, x: Floats, y: Floats) -> Floats:
+    """Sheet-frame heights (...) of the lenses at `places` over points (...) of their cells, lengths."""
+    own, x, y = _own_lens(face, places, x, y)
+    return places.raised(lens_height(own, x.ravel(), y.ravel()).reshape(x.shape))
+
+
+def heights_and_normals_of_lenses(
+    face: Face, places: LensPlaces, x: Floats, y: Floats
+) -> tuple[Floats, Floats]:
+    """Heights (...) and unit normals (..., 3) of the lenses at `places` over points (...) of their cells."""
+    own, x, y = _own_lens(face, places, x, y)
+    z, normal = lens_height_and_normal(own, x.ravel(), y.ravel())
+    return places.raised(z.reshape(x.shape)), normal.reshape((*x.shape, 3))
+
+
+def _own_lens(face: Face, places: LensPlaces, x: Floats, y: Floats) -> tuple[Face, Floats, Floats]:
+    """Face of the unscaled lenses over points (...), in one row, and the points as these see them."""
+    x, y = np.broadcast_arrays(*places.seen(x, y))
+    if places.aspect is None:
+        return face, x, y
+    return replace(face, surface=places.shape(face.surface, x.shape)), x, y
+
+
 def column(
     window: Window, body: Body, x: Floats, y: Floats, index: Ints | None = None
 ) -> tuple[Floats, Floats]:
@@ -655,7 +686,7 @@ def face_height(window: Window, face: Face, x: Floats, y: Floats, index: Ints | 
 
 def _in_zone(window: Window, face: Face, x: Floats, y: Floats, index: Ints | None) -> Floats:
     places = window.lenses(face, index)
-    lens = places.raised(lens_height(face, *places.seen(x, y)))
+    lens = heights_of_lenses(face, places, x, y)
     if window.land.seam > 0.0:
         zone = in_optical_tile(window, np.asarray(x), np.asarray(y), face.array or 0)
         lens = np.where(zone, lens, np.nan)

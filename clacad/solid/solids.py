@@ -91,7 +91,10 @@ def _lens_arrays(
         if not isinstance(face.surface, Quadric):
             return ()
         places, surface = window.lenses(face, cells), face.surface
-        curvatures = np.array([[surface.curvature_x, surface.curvature_y, surface.kappa]]) / scale
+        shape = places.shape(surface, (len(cells),))
+        assert isinstance(shape, Quadric)
+        own = np.broadcast_arrays(shape.curvature_x, shape.curvature_y, np.atleast_1d(shape.kappa))
+        curvatures = np.stack(own, axis=1) / scale
         size = 1.0 if places.size is None else places.size[:, None]
         apex = np.stack(np.broadcast_arrays(*np.atleast_1d(*places.apex)), axis=1) * scale
         curvatures = np.broadcast_to(curvatures / size, apex.shape)

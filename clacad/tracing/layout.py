@@ -6,7 +6,7 @@ with the size of the sheet or its distance from the origin.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, isfinite, nan, pi
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -257,7 +257,7 @@ class SampledCell(NamedTuple):
         if self.places is None or self.places.size is None:
             return sharpest_bend(surface, reach)
         least = float(self.places.size.min())
-        return sharpest_bend(surface, reach / least) / least
+        return sharpest_bend(self.places.shape(surface), reach / least) / least
 
 
 def _plan_body(window: Window, body: Body, sampled: SampledCell) -> BodyPlan:
@@ -358,9 +358,12 @@ def _sampled(face: Face, seen: SampledCell) -> tuple[Floats, Floats]:
     """Height and slope of a face's lens at the sample points."""
     if face.array is None:
         return np.full(seen.x.shape, face.vertex[2]), np.zeros(seen.x.shape)
+    whole = (1 if seen.places is None else np.shape(seen.places.rise)[0], -1)
+    if seen.places is not None and seen.places.aspect is not None:
+        face = replace(face, surface=seen.places.shape(face.surface, seen.x.reshape(whole).shape))
     z, normal = lens_height_and_normal(face, seen.x, seen.y)
     if seen.places is not None:
-        z = seen.places.raised(z.reshape(np.shape(seen.places.rise)[0], -1)).ravel()
+        z = seen.places.raised(z.reshape(whole)).ravel()
     with np.errstate(invalid="ignore", divide="ignore"):
         return z, np.hypot(normal[:, 0], normal[:, 1]) / normal[:, 2]
 

@@ -104,12 +104,18 @@ def _rate(rung: Rung) -> Rung:
 
 def has_kernel(rung: Rung, window: Window) -> bool:
     """Whether a rung of a sheet has kernels: arrays not turned, lenses that do not rise with the places of
-    their cells, and rung thin without a field lens or an opaque line.
+    their cells, no cells with an η each along both axes, and rung thin without a field lens or an opaque line.
     """
+    laws = window.cell_laws
+    if laws is not None and laws.ratios is not None and laws.ratios.ndim == 3:
+        return False
     if rung == "law":
         return True
     changes = [window.thin.change] if rung == "thin" else [face.change for face in window.faces]
-    if any(change is not None and (any(change.climb) or change.lift is not None) for change in changes):
+    if any(
+        change is not None and (any(change.climb) or change.lift is not None or change.aspect is not None)
+        for change in changes
+    ):
         return False
     if rung == "thin":
         return not (window.thin.field or window.thin.turn or window.land.lined >= 0)

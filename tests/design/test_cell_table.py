@@ -29,7 +29,7 @@ def table_of(tmp_path, data, lattice=SMALL, name="cells.csv", stated=None, eta=-
     raw = data if isinstance(data, bytes) else data.encode()
     (tmp_path / name).write_bytes(raw)
     spec = TableSpec(name, stated or sha256(raw).hexdigest())
-    return read_table(str(tmp_path / "d.toml"), spec, lattice, eta)
+    return read_table(str(tmp_path / "d.toml"), spec, lattice, eta if isinstance(eta, tuple) else (eta, eta))
 
 
 def read(tmp_path, data, lattice=SMALL, name="cells.csv", stated=None):
@@ -122,7 +122,12 @@ def test_an_array_is_taken_as_it_is_and_refused_where_it_is_another(tmp_path):
     whole = npz(delta=delta)
     for data, word in (
         (npz(other=delta), "no array"),
-        (npz(delta=delta, eta_x=delta[..., 0]), "eta_x.npy is none of the arrays that are read"),
+        (npz(delta=delta, phi=delta[..., 0]), "phi.npy is none of the arrays that are read"),
+        (
+            npz(delta=delta, eta=-1 - delta[..., 0], eta_x=-1 - delta[..., 0]),
+            "eta_x.npy is none of the arrays",
+        ),
+        (npz(delta=delta, eta_y=delta[..., 0]), "eta_y[0, 0] = 0.0 is out of range"),
         (npz(delta=delta[:, :2]), "(2, 2, 2)"),
         (npz(delta=np.full((2, 3, 2), None)), "pickled objects are not read"),
         (npz(delta=np.where(delta == 7, np.nan, delta)), "delta[1, 0, 1]"),
@@ -195,6 +200,37 @@ def test_a_column_or_an_array_of_eta_is_taken_beside_delta(tmp_path):
     assert np.array_equal(made.etas, etas)
 
 
+@pytest.mark.parametrize("kind", ["csv", "npz"])
+@pytest.mark.parametrize("names", [("eta_x",), ("eta_y",), ("eta_x", "eta_y")])
+def test_a_column_or_an_array_for_each_axis_is_taken_and_the_other_has_that_of_the_law(tmp_path, kind, names):
+    own = {"eta_x": lambda i, j: -1.0 - 0.1 * i, "eta_y": lambda i, j: 0.3 + 0.01 * j}
+    cells = SMALL.cells().tolist()
+    if kind == "csv":
+        lines = [",".join(map(repr, [i, j, 0, 0, *(own[name](i, j) for name in names)])) for i, j in cells]
+        made = table_of(
+            tmp_path, "\n".join([f"i,j,delta_x,delta_y,{','.join(names)}", *lines]), eta=(-2.0, 0.5)
+        )
+    else:
+        arrays = {name: np.array([[own[name](i, j) for j in range(3)] for i in range(2)]) for name in names}
+        made = table_of(tmp_path, npz(delta=np.zeros((2, 3, 2)), **arrays), name="t.npz", eta=(-2.0, 0.5))
+    assert made.etas.shape == (2, 3, 2)
+    for i, j in cells:
+        told = (
+            own["eta_x"](i, j) if "eta_x" in names else -2.0,
+            own["eta_y"](i, j) if "eta_y" in names else 0.5,
+        )
+        assert tuple(made.etas[i, j]) == told
+
+
+def test_one_eta_of_both_axes_lies_where_both_lenses_keep_their_signs(tmp_path):
+    mistake = refused(tmp_path, with_etas(lambda i, j: -1.0), eta=(-1.0, 0.5))
+    assert mistake.message == "eta is out of range"
+    assert mistake.allowed.startswith("eta_x and eta_y")
+    assert (
+        table_of(tmp_path, with_etas(lambda i, j: -2.0), eta=(-1.0, -0.5)).etas.tolist() == [[-2.0] * 3] * 2
+    )
+
+
 def test_cells_that_an_outline_leaves_out_have_the_eta_of_the_law(tmp_path):
     round_one = Lattice("square", (1.0, 1.0), (6, 6), Circle(6.0))
     text = HEADER.replace("\n", ",eta\n") + "".join(
@@ -232,9 +268,11 @@ def test_an_eta_of_no_lens_or_of_lenses_bent_the_other_way_is_refused_at_its_pla
 
 
 def test_a_table_with_another_kind_of_eta_is_refused_saying_what_is_taken(tmp_path):
-    mistake = refused(tmp_path, "i,j,delta_x,delta_y,eta_x\n0,0,0,0,-1\n")
-    assert "one number of a cell" in mistake.hint
+    mistake = refused(tmp_path, "i,j,delta_x,delta_y,phi\n0,0,0,0,-1\n")
+    assert "one orientation" in mistake.hint
     assert mistake.column == 21
+    assert refused(tmp_path, "i,j,delta_x,delta_y,eta,eta_x\n0,0,0,0,-1,-1\n").column == 25
+    assert refused(tmp_path, "i,j,delta_x,delta_y,eta_y,eta_x\n0,0,0,0,-1,-1\n").column == 21
     assert refused(tmp_path, "i,j,delta_x,eta,delta_y\n0,0,0,-1,0\n").column == 13
     delta = np.zeros((2, 3, 2))
     for wrong in (np.full((2, 3, 2), -1.0), np.full((2, 2), -1.0), np.full((2, 3), "x")):

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from oracle import trace as oracle
+from sheet.test_cells_of_own_eta import FORMS, across, spread
 from sheet.test_cells_of_own_eta import PRESENT as PRESENT_WITH_ETA
 from sheet.test_cells_of_own_eta import design as tabled
-from sheet.test_cells_of_own_eta import spread
 from sheet.test_varying_sheets import ITS_OWN, PRESENT, SHEET, design
 
 import clacad
@@ -50,6 +50,56 @@ def made(sheet, feature, folder):
 def failing(report):
     """Identities of the checks of written files that fail."""
     return {check.id for check in report.checks if check.state == "fail" and check.subject.endswith(".step")}
+
+
+AXES = across(spread(-0.95, -1.1), spread(-1.15, -1.0))
+"""η along both axes of a cell."""
+OF_TWO_AXES = {
+    "slab": {}, "ellipsoids": {"pair__surface": None}, "biconvex": FORMS["biconvex"],
+    "plano, hexagonal": {**FORMS["plano"], "lattice__kind": "hexagonal"}, "tilt": {"law__euler": [20, 3, 0]},
+    "aimed": {"lattice__aperture": {"point": [3, 2, -300]}}, "seam": {"lattice__seam": 0.05}, "law of two": {"law__eta": [-1.0, -1.1]},
+}  # fmt: skip
+
+
+def one_lens_bent(window, array):
+    """The lens of an array in one cell is curved by a fiftieth more along y."""
+    cell = window.lattice.cells()[-1]
+
+    def bent(face):
+        if face.array != array:
+            return face
+        aspect = face.change.aspect.copy()
+        aspect[cell[0] + cell[1] // 2 if window.lattice.hexagonal else cell[0], cell[1]] *= 1.0 + SPOILT
+        return replace(face, change=replace(face.change, aspect=aspect))
+
+    return replace(
+        window, bodies=tuple(replace(b, front=bent(b.front), back=bent(b.back)) for b in window.bodies)
+    )
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        pytest.param(form, marks=pytest.mark.slow if form == "ellipsoids" else pytest.mark.long)
+        for form in OF_TWO_AXES
+    ],
+)
+def test_the_file_of_cells_of_two_eta_is_a_master_and_one_lens_bent_along_one_axis_is_found(form, tmp_path):
+    wanted = tabled(tmp_path, AXES, **{**SMALL, **OF_TWO_AXES[form]})
+    manifest = clacad.export(wanted, tmp_path / "right", formats=("step",))
+    (entry,) = [one for one in manifest.files if one["format"] == "step"]
+    assert entry["role"] == "optical-master"
+    assert not failing(clacad.verify(wanted, files=tmp_path / "right", rays=2048))
+    window = clacad.prescribe(wanted)
+    for array in (0, 1):
+        for spoilt in (one_lens_bent, one_lens_moved):
+            write_step(spoilt(window, array), tmp_path / "spoilt.step")
+            assert failing(clacad.verify(wanted, files=tmp_path / "spoilt.step", rays=2048))
+
+
+@pytest.mark.parametrize("form", OF_TWO_AXES)
+def test_rays_of_cells_of_two_eta_are_those_of_the_textbook_through_the_faces_of_their_cells(form, tmp_path):
+    as_of_the_textbook(clacad.prescribe(tabled(tmp_path, AXES, **{**SMALL, **OF_TWO_AXES[form]})))
 
 
 def one_lens_moved(window, array):
@@ -146,14 +196,20 @@ def test_field_faces_lie_where_the_light_of_each_cell_passes_on_its_way_to_its_p
             assert np.abs(far - window.centres(1, cell)).max() < 2e-3 * min(window.lattice.pitch)
 
 
-TRACED = sorted({*PAIRS[::6], ("pair.focus", "field lens"), (ETAS, "field lens")})
+TRACED = sorted(
+    {*PAIRS[::6], ("pair.focus", "field lens"), (ETAS, "field lens"), (ETAS, "eta_x and eta_y that differ")}
+)
 
 
 @pytest.mark.parametrize(("sheet", "feature"), TRACED)
 def test_rays_of_a_combination_are_those_of_the_textbook_through_the_faces_of_their_cells(
     sheet, feature, tmp_path
 ):
-    window = clacad.prescribe(made(sheet, feature, tmp_path))
+    as_of_the_textbook(clacad.prescribe(made(sheet, feature, tmp_path)))
+
+
+def as_of_the_textbook(window):
+    """Rays of two cells, through all that the window has, are those of the textbook tracer."""
     cells = window.lattice.cells()[[0, -1]]
     slope = np.divide(window.thin.shift, window.thin.offset[2])
     at = np.column_stack([window.centres(0, cells), np.full(len(cells), -1.0)])

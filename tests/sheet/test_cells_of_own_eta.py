@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import mpmath
 import numpy as np
 import pytest
 from scipy.integrate import dblquad
@@ -37,6 +38,14 @@ def spread(low, high):
 WIDELY = spread(-0.5, -2.0)
 
 
+def across(along, beside):
+    """η of two axes from two functions of the cell."""
+    return lambda i, j: (along(i, j), beside(i, j))
+
+
+BOTH = across(spread(-0.6, -1.8), spread(-1.9, -0.7))
+
+
 def still(i, j):
     return 0.0, 0.0
 
@@ -46,7 +55,7 @@ def sloping(i, j):
 
 
 def design(folder, eta=WIDELY, delta=sloping, **changes):
-    """A design with a table; η None: a table of δ alone."""
+    """A design with a table; η None: a table of δ alone; η of two numbers: columns eta_x and eta_y."""
     made = json.loads(json.dumps(BASE))
     for key, value in changes.items():
         section, _, name = key.partition("__")
@@ -56,9 +65,10 @@ def design(folder, eta=WIDELY, delta=sloping, **changes):
             made.setdefault(section, {})[name] = value
     plain = clacad.Design.from_dict(made)
     lattice = clacad.prescribe(plain).lattice
-    rows = ["i,j,delta_x,delta_y" + ("" if eta is None else ",eta")]
+    own = (lambda i, j: []) if eta is None else lambda i, j: np.atleast_1d(eta(i, j)).tolist()
+    rows = ["i,j,delta_x,delta_y" + ("", ",eta", ",eta_x,eta_y")[len(own(0, 0))]]
     for i, j in lattice.cells().tolist():
-        numbers = [*delta(i, j), *([] if eta is None else [eta(i, j)])]
+        numbers = [*delta(i, j), *own(i, j)]
         rows.append(",".join([str(i), str(j), *map(repr, map(float, numbers))]))
     (folder / "cells.csv").write_text("\n".join(rows) + "\n")
     made["law"]["varying"] = {"table": "cells.csv"}
@@ -78,21 +88,32 @@ FORMS = {
     "hexagonal": {"lattice__kind": "hexagonal"}, "seam": {"lattice__seam": 0.05},
 }  # fmt: skip
 """Kinds of sheet; of biconvex ones η changes little from cell to cell."""
+OF_TWO = {
+    "two axes": {}, "two axes, law of two": {"law__eta": [-0.8, -1.3]}, "two axes, ellipsoids": {"pair__surface": None},
+    "two axes, plano": FORMS["plano"], "two axes, biconvex": FORMS["biconvex"],
+    "two axes, hexagonal": FORMS["hexagonal"],
+}  # fmt: skip
+"""As `FORMS`, with an η along each lens axis."""
+FORMS |= OF_TWO
 
 
 def of_form(folder, form, **more):
-    return built(folder, spread(-0.9, -1.3) if form == "biconvex" else WIDELY, **FORMS[form], **more)
+    narrow, wide = spread(-0.9, -1.3), WIDELY
+    if form in OF_TWO:
+        narrow, wide = across(narrow, spread(-1.25, -1.0)), BOTH
+    return built(folder, narrow if "biconvex" in form else wide, **FORMS[form], **more)
 
 
-def matrix(window, cell):
-    """Ray-transfer matrix of one telescopelet from vertex to vertex, in the meridian x."""
+def matrix(window, cell, axis="x"):
+    """Ray-transfer matrix of one telescopelet from vertex to vertex, in the meridian of a lens axis."""
     total, before, z = np.eye(2), 1.0, None
     for body in window.bodies:
         for face, after in ((body.front, body.index), (body.back, 1.0)):
             own = window.in_cell(face, np.array(cell))
             if z is not None:
                 total = np.array([[1.0, own.vertex[2] - z], [0.0, 1.0]]) @ total
-            z, power = own.vertex[2], (after - before) * own.side * own.surface.curvature_x
+            z = own.vertex[2]
+            power = (after - before) * own.side * getattr(own.surface, f"curvature_{axis}")
             total = np.array([[1.0, 0.0], [-power / after, before / after]]) @ total
             before = after
     return total
@@ -102,10 +123,11 @@ def matrix(window, cell):
 def test_each_pair_is_afocal_with_exactly_its_own_eta(tmp_path, form):
     window = of_form(tmp_path, form)
     for cell in window.lattice.cells():
-        eta = window.law_at(cell).eta_x
-        (_, _), (bends, magnifies) = matrix(window, cell)
-        assert abs(bends) * 0.25 < 3e-14
-        assert magnifies == pytest.approx(1.0 / eta, rel=1e-12)
+        for axis in "xy":
+            eta = getattr(window.law_at(cell), f"eta_{axis}")
+            (_, _), (bends, magnifies) = matrix(window, cell, axis)
+            assert abs(bends) * 0.25 < 3e-14
+            assert magnifies == pytest.approx(1.0 / eta, rel=1e-12)
 
 
 LENSED = {
@@ -270,6 +292,81 @@ def test_radii_of_a_slab_are_as_its_formula_has_them(tmp_path):
         assert first.conic_x == second.conic_y == -1.0 / body.index**2
 
 
+@pytest.mark.parametrize(
+    "keys", [{}, {"pair__surface": None}, {"pair__surface": None, "lattice__kind": "hexagonal"}]
+)
+def test_cells_of_an_eta_along_each_axis_are_those_of_the_sheet_of_that_law(tmp_path, keys):
+    """Of a sheet of equal cells, whose faces no table scales."""
+    window = built(tmp_path, BOTH, still, pair__offset="paraxial", **keys)
+    for cell in window.lattice.cells()[::5]:
+        law = window.law_at(cell)
+        assert (law.eta_x, law.eta_y) == BOTH(*cell)
+        raw = json.loads(json.dumps(BASE))
+        raw["law"]["eta"], raw["pair"]["offset"] = [law.eta_x, law.eta_y], "paraxial"
+        for key, value in keys.items():
+            section, _, name = key.partition("__")
+            raw[section].update({name: value} if value is not None else {})
+            raw[section] = {k: v for k, v in raw[section].items() if value is not None or k != name}
+        alike = clacad.prescribe(clacad.Design.from_dict(raw))
+        for face, one in zip(window.faces, alike.faces, strict=True):
+            own = window.in_cell(face, cell).surface
+            assert type(own) is type(one.surface)
+            for name in own.__dataclass_fields__:
+                assert getattr(own, name) == pytest.approx(getattr(one.surface, name), rel=2e-15)
+
+
+@pytest.mark.parametrize("law", [[-1.0, -1.0], [-0.8, -1.3]])
+def test_a_column_of_one_axis_leaves_the_other_that_of_the_law(tmp_path, law):
+    made = design(tmp_path, WIDELY, law__eta=law)
+    table = (tmp_path / "cells.csv").read_text()
+    for name, axis in (("eta_x", 0), ("eta_y", 1), ("eta", None)):
+        (tmp_path / "cells.csv").write_text(table.replace(",eta\n", f",{name}\n"))
+        window = clacad.prescribe(clacad.load(tmp_path / "design.toml"))
+        for cell in window.lattice.cells()[::4]:
+            told = window.law_at(cell).eta_x, window.law_at(cell).eta_y
+            want = [WIDELY(*cell)] * 2 if axis is None else [*law]
+            if axis is not None:
+                want[axis] = WIDELY(*cell)
+            assert told == tuple(want)
+    assert made.law.eta_x == law[0]
+
+
+def test_neighbours_whose_eta_differ_by_rounding_have_lenses_that_do(tmp_path):
+    """One part in 10¹² along one axis, against the same cells in numbers of 50 digits."""
+    eta = across(lambda i, j: -1.0 - 1e-12 * ((i + j) % 2), lambda i, j: -1.2 + 1e-12 * (i % 2))
+    window = built(tmp_path, eta, still, law__eta=[-1.0, -1.2], pair__offset="paraxial")
+    (body,) = window.bodies
+    with mpmath.workdps(50):
+        for cell in window.lattice.cells()[:9]:
+            for face, lens in ((body.front, 0), (body.back, 1)):
+                own = window.in_cell(face, cell).surface
+                for c, one in zip((own.curvature_x, own.curvature_y), eta(*cell), strict=True):
+                    radius = (mpmath.mpf(body.index) - 1) * 10 / (1 - mpmath.mpf(one))
+                    exact = 1 / (radius * (1 if lens == 0 else -mpmath.mpf(one)))
+                    assert abs(c / exact - 1) < 8e-16
+    step = highest_step(window, body).height
+    assert 0.0 < step < 1e-12
+    cells = window.lattice.cells()
+    start = np.column_stack([window.lattice.centres(cells) + [0.05, 0.08], np.full(len(cells), -1.0)])
+    seen = clacad.trace(window, clacad.Rays(start, (0.0, 0.0, 1.0)))
+    spread_ = np.ptp(seen.direction, axis=0)
+    assert (seen.fate == Fate.ALIVE).all()
+    assert spread_[:2].max() < 1e-12
+
+
+def test_two_numbers_of_a_cell_that_have_no_field_lens_or_no_form_are_refused(tmp_path):
+    even = {"radius": 2.468, "a4": [1e-4, 2e-4, 1e-4]}
+    for keys, word in (
+        ({"pair__field_lens": True, "pair__field": {"gap": 0.5}, "pair__surface": None}, "two foci"),
+        ({"pair__prescription": "given", "pair__face": [even, even], "pair__surface": None}, "even terms"),
+    ):
+        with pytest.raises(clacad.DesignError) as caught:
+            built(tmp_path, BOTH, still, **keys)
+        (mistake,) = caught.value.mistakes
+        assert mistake.code == "CL127"
+        assert word in mistake.message
+
+
 def test_a_table_that_has_the_eta_of_the_law_in_every_cell_makes_the_sheet_of_that_law(tmp_path):
     own, one = built(tmp_path, lambda i, j: -1.0), built(tmp_path, None)
     assert own.many_sizes
@@ -322,15 +419,19 @@ def test_a_sheet_of_equal_cells_like_one_is_that_cell(tmp_path):
         assert like.thin.focal_length[1][1] == pytest.approx(-eta * 10.0 / (1.0 - eta), rel=1e-15)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(6))
 def test_bounds_of_a_face_hold_every_lens_of_a_sheet_drawn_at_random(tmp_path, seed):
     rng = np.random.default_rng(seed)
     etas, deltas = -np.exp(rng.uniform(-0.7, 0.7, (7, 6))), rng.uniform(-0.02, 0.02, (7, 6, 2))
-    kind = ({}, {"lattice__kind": "hexagonal"}, {"law__euler": [20, 4, 10]}, {"pair__surface": None})[seed]
+    kind = (
+        {}, {"lattice__kind": "hexagonal"}, {"law__euler": [20, 4, 10]}, {"pair__surface": None},
+        {"pair__surface": None}, {"law__euler": [20, 4, 10]},
+    )[seed]  # fmt: skip
+    beside = -np.exp(rng.uniform(-0.7, 0.7, (7, 6)))
     row = (lambda i, j: i + j // 2) if seed == 1 else (lambda i, j: i)
     window = built(
         tmp_path,
-        lambda i, j: etas[row(i, j), j],
+        lambda i, j: etas[row(i, j), j] if seed < 4 else (etas[i, j], beside[i, j]),
         lambda i, j: deltas[row(i, j), j],
         pair__offset="paraxial",
         **kind,
@@ -350,8 +451,9 @@ def test_bounds_of_a_face_hold_every_lens_of_a_sheet_drawn_at_random(tmp_path, s
             assert z.max() <= window.z_range[1] + 1e-9
 
 
-def test_closed_form_shares_are_those_of_rays_through_ideal_lenses(tmp_path):
-    window = built(tmp_path, delta=still)
+@pytest.mark.parametrize("eta", [WIDELY, BOTH])
+def test_closed_form_shares_are_those_of_rays_through_ideal_lenses(tmp_path, eta):
+    window = built(tmp_path, eta, delta=still)
     rng = np.random.default_rng(5)
     for slope in ((0.0, 0.0), (0.012, -0.004)):
         for cell in ((0, 0), (3, 2), (6, 5)):
@@ -364,8 +466,9 @@ def test_closed_form_shares_are_those_of_rays_through_ideal_lenses(tmp_path):
             assert found == pytest.approx(counted, abs=0.015)
 
 
-def test_the_volume_is_that_of_its_columns_summed_cell_by_cell(tmp_path):
-    window = built(tmp_path, lattice__count=[3, 2])
+@pytest.mark.parametrize("eta", [WIDELY, BOTH])
+def test_the_volume_is_that_of_its_columns_summed_cell_by_cell(tmp_path, eta):
+    window = built(tmp_path, eta, lattice__count=[3, 2])
     (body,) = window.bodies
     total = 0.0
     for cell in window.lattice.cells():

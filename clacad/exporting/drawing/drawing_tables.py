@@ -157,6 +157,8 @@ def sag_table(window: Window) -> Canvas:
             [mm_text(at * mm), *(_sag(face, at, axis, mm) for _, face, _ in curved for axis in (0, 1))]
         )
     whose = ", lens of law.eta; of a cell both are times R over that lens's" if window.many_sizes else ""
+    if window.many_aspects:
+        whose = ", lens of law.eta; of a cell: --format table"
     return table(f"sag table (mm along lens x and y, height over the apex towards +z{whose})", head, rows)
 
 

@@ -179,7 +179,7 @@ def cells_table(window: Window) -> Canvas:
     head = ["cell", "i, j"]
     for face in faces:
         head += [f"centre {_lens(face)} x, y", f"apex {_lens(face)} from it x, y", f"step {_lens(face)}"]
-        head += [f"radius {_lens(face)}"] if window.many_sizes else []
+        head += [f"radius {_lens(face)}{' x, y' * window.many_aspects}"] if window.many_sizes else []
     rows = []
     for name, index in zip(
         ("first", "middle", "worst"), representative_cells(window, "drawing"), strict=True
@@ -196,7 +196,8 @@ def cells_table(window: Window) -> Canvas:
             row.append(mm_text(step * mm))
             if window.many_sizes:
                 own = window.in_cell(face, index)
-                row.append(mm_text(own.side * principal_radii(own.surface)[0] * mm))
+                radii = principal_radii(own.surface)[: 2 if window.many_aspects else 1]
+                row.append(", ".join(mm_text(own.side * radius * mm) for radius in radii))
         rows.append(row)
     title = (
         "cells that differ (mm; step: the highest to a neighbour; worst: the lens farthest from the middle of"

@@ -40,7 +40,7 @@ from clacad.formats.maps.sag import (
     structured_faces,
 )
 from clacad.formats.sequential.zmx import check_zmx
-from clacad.sheet.window import Face, Window, face_height, in_optical_tile, lens_height_and_normal
+from clacad.sheet.window import Face, Window, face_height, heights_and_normals_of_lenses, in_optical_tile
 from clacad.storage.errors import ExportError, UnreadableFile
 from clacad.storage.reading import Spending
 
@@ -139,8 +139,7 @@ def points_misfit(window: Window, face: Face, path: Path, scale: float) -> tuple
         index, u, v = window.locate(face.array, table[:, 0] / scale, table[:, 1] / scale)
         z = face_height(window, face, u, v, index)
         places = window.lenses(face, index)
-        lens, normal = lens_height_and_normal(face, *places.seen(u, v))
-        lens = places.raised(lens)
+        lens, normal = heights_and_normals_of_lenses(face, places, u, v)
         flat = ~(z == lens)
         normal = np.where(flat[:, None], np.array([0.0, 0.0, 1.0]), normal) * -face.side
         apart = np.abs(table[:, 2] - z * scale)

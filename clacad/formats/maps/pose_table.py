@@ -44,9 +44,10 @@ COLUMNS = ("face", "i", "j", "apex_x_mm", "apex_y_mm", "apex_z_mm", "phi_deg", "
 
 def columns(window: Window) -> tuple[str, ...]:
     """Head of the pose table; for lenses of several sizes with size and apex radius of each, negative where
-    concave.
+    concave; for cells with an η along each axis the radius along x, and the aspect.
     """
-    return (*COLUMNS, "size", "apex_radius_mm") if window.many_sizes else COLUMNS
+    sizes = ("size", "apex_radius_mm", "aspect")[: 3 if window.many_aspects else 2]
+    return (*COLUMNS, *sizes) if window.many_sizes else COLUMNS
 
 
 def surface_table(window: Window, scale: float) -> dict[str, Any]:
@@ -106,6 +107,11 @@ def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
                 " lengths times its size"
             ),
         }
+    if face.change is not None and face.change.aspect is not None:
+        found["aspect"] = (
+            "cell by cell in the pose table: before that, the curvature along y is multiplied by it, and kappa"
+            " by its square root"
+        )
     return found
 
 
@@ -187,13 +193,13 @@ def pose_lines(window: Window, scale: float, rows: Iterable[Ints]) -> Iterator[l
 
 
 def _sizes(window: Window, face: Face, row: Ints, scale: float) -> list[tuple[str, ...]]:
-    """Size and apex radius (mm) of the lens of each cell of a row (n, 2); nothing where all are alike."""
+    """Size, apex radius (mm) and aspect of the lens of each cell of a row (n, 2), as `columns` has them."""
     if not window.many_sizes:
         return [()] * len(row)
-    size = window.lenses(face, row).size
-    each = np.ones(len(row)) if size is None else size
-    radius = scale * each / face.surface.curvature_x
-    return [(repr(k), repr(r)) for k, r in zip(each.tolist(), radius.tolist(), strict=True)]
+    places = window.lenses(face, row)
+    size, aspect = (np.ones(len(row)) if one is None else one for one in (places.size, places.aspect))
+    told = [size, scale * size / face.surface.curvature_x, aspect][: 3 if window.many_aspects else 2]
+    return [tuple(map(repr, line)) for line in np.stack(told, axis=-1).tolist()]
 
 
 def euler_degrees(face: Face) -> tuple[float, float, float]:

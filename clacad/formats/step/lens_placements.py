@@ -25,7 +25,7 @@ from clacad.base.types import Bools, Floats, Ints
 from clacad.base.units import millimetres
 from clacad.formats.placements import Placements, applied, turns
 from clacad.formats.step.shape_parts import ShapePart, boxes_of, moved
-from clacad.sheet.window import WALL, Window, lens_height_and_normal
+from clacad.sheet.window import WALL, Window, heights_and_normals_of_lenses
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +123,8 @@ def on_lenses(window: Window, place: Floats, outward: Floats) -> tuple[Floats, F
         at = place[chosen] / scale
         index, x, y = window.locate(face.array, at[:, 0], at[:, 1])
         places = window.lenses(face, index)
-        z, expected = lens_height_and_normal(face, *places.seen(x, y))
-        away = np.abs((at[:, 2] - places.raised(z)) * expected[:, 2]) * scale
+        z, expected = heights_and_normals_of_lenses(face, places, x, y)
+        away = np.abs((at[:, 2] - z) * expected[:, 2]) * scale
         turned = np.linalg.norm(np.cross(expected, outward[chosen]), axis=1)
         with np.errstate(invalid="ignore"):
             closer = away < best[chosen]

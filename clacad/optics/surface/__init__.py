@@ -22,6 +22,7 @@ from clacad.optics.surface.sag_and_normal import (
     sag,
     sharpest_bend,
     simplest,
+    stretched,
 )
 
 __all__ = [
@@ -43,5 +44,6 @@ __all__ = [
     "sag",
     "sharpest_bend",
     "simplest",
+    "stretched",
     "upright_sag",
 ]

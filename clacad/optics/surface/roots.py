@@ -34,6 +34,7 @@ from clacad.optics.surface.sag_and_normal import (
     even_terms,
     lateral_gradient,
     lateral_square,
+    of_rows,
     sag,
     skewness,
     slope_root,
@@ -82,8 +83,8 @@ def quadric_root(
     nearly_double = b * b > CANCELS * np.abs(discriminant)
     if nearly_double.any():
         rows = np.flatnonzero(nearly_double)
-        chosen = np.broadcast_to(kappa, b.shape)[rows]
-        discriminant[rows] = _discriminant((cx, cy, side), chosen, pick(start, rows), pick(ray, rows))
+        chosen, some = np.broadcast_to(kappa, b.shape)[rows], of_rows(surface, rows)
+        discriminant[rows] = _discriminant(some, chosen, pick(start, rows), pick(ray, rows))
     root = np.sqrt(discriminant)
     sign_root = np.where(N < 0, -side, side) * root
     adds = sign_root * b <= 0
@@ -108,11 +109,11 @@ def upright_sag(surface: Quadric, x: Floats, y: Floats) -> Floats | None:
 
 
 def _discriminant(
-    shape: tuple[float, float, int], kappa: Floats, start: tuple[Floats, ...], ray: tuple[Floats, ...]
+    surface: Surface, kappa: Floats, start: tuple[Floats, ...], ray: tuple[Floats, ...]
 ) -> Floats:
     """B² − AC in pairs. It is constant along the ray, so the unrounded start is used."""
-    cx, cy = pair(shape[0]), pair(shape[1])
-    side, k = float(shape[2]), pair(kappa)
+    cx, cy = pair(surface.curvature_x), pair(surface.curvature_y)
+    side, k = float(surface.side), pair(kappa)
     (x, y, z), (L, M, N) = start, ray
     level = pair_sum(two_product(kappa, z), pair(np.full_like(z, -side)))
     above = pair_sum(two_product(kappa, z), pair(np.full_like(z, -2 * side)))
@@ -163,7 +164,7 @@ def biconic_root(surface: Biconic, start: Columns, base: Columns, ray: Columns) 
     t, root = _newton(surface, guess, start, base, ray)
     rows = np.flatnonzero(np.isnan(t))
     if rows.size:
-        t[rows] = _quartic_root(surface, pick(base, rows), pick(ray, rows))
+        t[rows] = _quartic_root(of_rows(surface, rows), pick(base, rows), pick(ray, rows))
         root[rows] = 0.0  # finite; the hit's own normal gives it
     return t, root
 

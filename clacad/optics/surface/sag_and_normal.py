@@ -31,13 +31,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from math import inf, isfinite
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from clacad.base.pairs import Pair, negated, pair, pair_product, pair_sum, two_product, two_sum
-from clacad.base.types import Floats
+from clacad.base.types import Bools, Floats, Ints
 from clacad.base.units import A4, A6, A8, NO_A6, NO_A8
 
 
@@ -211,6 +211,7 @@ class EvenPolynomial(_OverXY):
 
 
 Surface = Quadric | Biconic | EvenPolynomial
+Given = TypeVar("Given", Quadric, Biconic, EvenPolynomial, Surface)
 
 
 def principal_radii(surface: Surface) -> tuple[float, float]:
@@ -243,9 +244,36 @@ def resized(surface: Surface, size: float) -> Surface:
     return EvenPolynomial(cx, cy, surface.conic_x, surface.conic_y, *terms)
 
 
+def stretched(surface: Surface, aspect: ArrayLike) -> Surface:
+    """The surface with its curvature along y times `aspect`, for the same recipe of its form.
+
+    A quadric's κ, the geometric mean of its curvatures or a depth, is multiplied by sqrt(aspect); the conic
+    constants of a biconic are kept. With an aspect for each of n points, curvature and κ are arrays (n,).
+    """
+    of: Any = aspect
+    if isinstance(surface, Quadric):
+        kappa: Any = surface.kappa * np.sqrt(of)
+        return replace(surface, curvature_y=surface.curvature_y * of, kappa=kappa)
+    if isinstance(surface, EvenPolynomial):
+        raise ValueError("even terms are not stretched")
+    return replace(surface, curvature_y=surface.curvature_y * of)
+
+
+def of_rows(surface: Given, rows: Ints | Bools) -> Given:
+    """The surface of some of the points, where it differs from point to point (`stretched`)."""
+    if np.ndim(surface.curvature_y) == 0:
+        return surface
+    changed: dict[str, Any] = {
+        name: getattr(surface, name)[rows]
+        for name in ("curvature_y", "kappa")
+        if np.ndim(getattr(surface, name, 0.0))
+    }
+    return replace(surface, **changed)
+
+
 def sharpest_bend(surface: Surface, reach: float) -> float:
     """Bound (1/length) of a face's second derivatives: apex curvatures plus even terms within `reach`."""
-    bend = abs(surface.curvature_x) + abs(surface.curvature_y)
+    bend = abs(surface.curvature_x) + float(np.max(np.abs(surface.curvature_y)))
     if isinstance(surface, EvenPolynomial):
         bend += sharpest_of_terms(surface.a4, surface.a6, surface.a8, reach)
     return bend
@@ -283,7 +311,7 @@ def as_quadric(biconic: Biconic) -> Quadric:
 
 def simplest(surface: Surface) -> Surface:
     """The quadric with the same points, if one exists, as its rays need no iteration; else the surface."""
-    if not isinstance(surface, Biconic):
+    if not isinstance(surface, Biconic) or np.ndim(surface.curvature_y):
         return surface
     try:
         return as_quadric(surface)
@@ -342,7 +370,7 @@ def lateral_gradient(surface: Surface, x: Floats, y: Floats, w: Floats) -> tuple
         _, px, py = even_terms(surface.a4, surface.a6, surface.a8, x, y)
         gx, gy = gx - surface.side * w * px, gy - surface.side * w * py
     skew = skewness(surface)
-    if skew == 0:
+    if not np.any(skew):
         return np.asarray(gx), np.asarray(gy)
     twist = surface.side * skew * x * y / ((1.0 + w) * (1.0 + w))
     return np.asarray(gx - twist * y), np.asarray(gy + twist * x)
@@ -351,7 +379,7 @@ def lateral_gradient(surface: Surface, x: Floats, y: Floats, w: Floats) -> tuple
 def lateral_square(surface: Surface, x: Floats, y: Floats) -> Floats:
     """The form cx x² + cy y² (n,), length; in pairs for a saddle, whose terms alone cancel."""
     cx, cy = surface.curvature_x, surface.curvature_y
-    if cx * cy < 0:
+    if np.any(cx * cy < 0):
         in_x = pair_product(pair(cx), two_product(x, x))
         return pair_sum(in_x, pair_product(pair(cy), two_product(y, y)))[0]
     return np.asarray(cx * x * x + cy * y * y)
@@ -374,6 +402,7 @@ def slope_root(surface: Surface, x: Floats, y: Floats) -> Floats:
         radicand = np.array(1.0 - (a[0] * x * x + b[0] * y * y))
         equator = np.abs(radicand) < 0.5  # where 1 cancels
         if equator.any():
+            a, b = ((one[0][equator], one[1][equator]) if np.ndim(one[0]) else one for one in (a, b))
             radicand[equator] = _radicand(a, b, x[equator], y[equator])
         return np.asarray(np.sqrt(radicand))
 
@@ -397,7 +426,7 @@ def _check(kind: str, side: int, *numbers: float) -> None:
     """Refuse invalid numbers and sides."""
     if side not in (1, -1):
         raise ValueError(f"{kind}: side is {side!r}, not +1 or -1")
-    if not all(isfinite(number) for number in numbers):
+    if not all(isfinite(number) if np.ndim(number) == 0 else np.isfinite(number).all() for number in numbers):
         raise ValueError(
             f"{kind}: {numbers} holds a number that is not finite; a flat meridian has curvature 0"
         )

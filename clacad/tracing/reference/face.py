@@ -11,10 +11,10 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.sequence import to_sheet, to_surface
-from clacad.optics.surface import Quadric, gradient, meet_at, refract
+from clacad.optics.surface import Quadric, Surface, gradient, meet_at, refract
 from clacad.sheet.cell_places import LensPlaces
 from clacad.sheet.plate_edges import nearest_edges
-from clacad.sheet.window import Face, lens_height
+from clacad.sheet.window import Face, heights_of_lenses
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
 
@@ -44,7 +44,8 @@ def cross(
     places : here and below. Position of each ray's lens, see `clacad.tracing.layout.lenses`.
     """
     ray = to_surface(face.rotation, direction)
-    met, point = meet_at(face.surface, to_surface(face.rotation, _start(places, local, z)), ray)
+    surface = places.shape(face.surface)
+    met, point = meet_at(surface, to_surface(face.rotation, _start(places, local, z)), ray)
     out, _ = refract(ray, met.gradient, met.root, n1, n2)
     upright = np.isfinite(met.distance)
     if face.rotation is not None:
@@ -70,12 +71,13 @@ def cross_at(
     start, ray = to_surface(face.rotation, _start(places, local, z)), to_surface(face.rotation, direction)
     if places.size is not None:
         distance = distance / places.size
+    surface = places.shape(face.surface)
     for _ in range(2):
         point = start + distance[:, None] * ray
-        normal, over = _upward(face, point)
+        normal, over = _upward(surface, point)
         distance = distance - over / (ray * normal).sum(axis=1)
     point = start + distance[:, None] * ray
-    normal, _ = _upward(face, point)
+    normal, _ = _upward(surface, point)
     root = (ray * normal).sum(axis=1)
     out, _ = refract(ray, normal, root, n1, n2)
     return _hit(places, to_sheet(face.rotation, point), distance, to_sheet(face.rotation, out), root > 0.0)
@@ -97,9 +99,8 @@ def _hit(places: LensPlaces, point: Floats, distance: Floats, direction: Floats,
     return Hit(local, point[:, 2] + vz, distance, direction, upright)
 
 
-def _upward(face: FacePlan, point: Floats) -> tuple[Floats, Floats]:
+def _upward(surface: Surface, point: Floats) -> tuple[Floats, Floats]:
     """Normal G towards +z at points near a lens (lens frame), and heights over it, in units of 1/|G|."""
-    surface = face.surface
     x, y, z = point.T
     if not isinstance(surface, Quadric):
         normal = gradient(surface, x, y)
@@ -124,7 +125,7 @@ def height(face: FacePlan, local: Floats, places: LensPlaces) -> Floats:
         if face.rotation is None
         else Face(face.surface, face.vertex, face.rotation)
     )
-    return places.raised(lens_height(lens, *places.seen(local[:, 0], local[:, 1])))
+    return heights_of_lenses(lens, places, local[:, 0], local[:, 1])
 
 
 def in_zone(layout: Layout, local: Floats, margin: float, array: int = 0) -> Bools:
@@ -172,32 +173,31 @@ def lens_roots(
     the equator is therefore harmless.
     """
     p, d = to_surface(face.rotation, _start(places, local, z)), to_surface(face.rotation, direction)
-    one, other = _roots_of_one(face, p, d)
+    one, other = _roots_of_one(places.shape(face.surface), p, d)
     return (one, other) if places.size is None else (one * places.size, other * places.size)
 
 
-def _roots_of_one(face: FacePlan, p: Floats, d: Floats) -> tuple[Floats, Floats]:
-    """Both distances of rays in the frame of the face's one lens, points and directions (m, 3)."""
-    surface = face.surface
+def _roots_of_one(surface: Surface, p: Floats, d: Floats) -> tuple[Floats, Floats]:
+    """Both distances of rays in the frame of an unscaled lens, points and directions (m, 3)."""
     if isinstance(surface, Quadric):
         kappa = surface.kappa
     else:  # Newton starts from the quadric of equal curvatures and mean κ
         kappa = 0.5 * (
             (1.0 + surface.conic_x) * surface.curvature_x + (1.0 + surface.conic_y) * surface.curvature_y
         )
-    roots = _quadric_roots((surface.curvature_x, surface.curvature_y, kappa, float(surface.side)), p, d)
+    roots = _quadric_roots(surface, kappa, p, d)
     if isinstance(surface, Quadric):
         return roots
     with np.errstate(all="ignore"):
         met = meet_at(surface, p, d)[0].distance
         other = np.where(np.abs(roots[0] - met) < np.abs(roots[1] - met), roots[1], roots[0])
         for _ in range(8):
-            other = other - _biconic_step(face, p + other[:, None] * d, d)
+            other = other - _biconic_step(surface, p + other[:, None] * d, d)
     return _finite(met), _finite(other)
 
 
-def _quadric_roots(shape: tuple[float, float, float, float], p: Floats, d: Floats) -> tuple[Floats, Floats]:
-    cx, cy, kappa, side = shape
+def _quadric_roots(surface: Surface, kappa: float, p: Floats, d: Floats) -> tuple[Floats, Floats]:
+    cx, cy, side = surface.curvature_x, surface.curvature_y, float(surface.side)
     a = cx * d[:, 0] ** 2 + cy * d[:, 1] ** 2 + kappa * d[:, 2] ** 2
     b = cx * p[:, 0] * d[:, 0] + cy * p[:, 1] * d[:, 1] + (kappa * p[:, 2] - side) * d[:, 2]
     c = cx * p[:, 0] ** 2 + cy * p[:, 1] ** 2 + (kappa * p[:, 2] - 2.0 * side) * p[:, 2]
@@ -206,10 +206,10 @@ def _quadric_roots(shape: tuple[float, float, float, float], p: Floats, d: Float
         return _finite(c / q), _finite(q / a)
 
 
-def _biconic_step(face: FacePlan, point: Floats, d: Floats) -> Floats:
+def _biconic_step(surface: Surface, point: Floats, d: Floats) -> Floats:
     """Newton step along the ray towards z = sag(x, y)."""
-    sag = face.surface.sag(point[:, 0], point[:, 1])
-    normal = face.surface.normal(point[:, 0], point[:, 1])
+    sag = surface.sag(point[:, 0], point[:, 1])
+    normal = surface.normal(point[:, 0], point[:, 1])
     return np.asarray((point[:, 2] - sag) * normal[:, 2] / (d * normal).sum(axis=1))
 
 
@@ -273,7 +273,8 @@ def lens_normals(face: FacePlan, local: Floats, z: Floats, places: LensPlaces) -
     point = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
     if places.size is not None:
         point = point / places.size[:, None]
+    surface = places.shape(face.surface)
     if face.rotation is None:
-        return face.surface.normal(point[:, 0], point[:, 1])
+        return surface.normal(point[:, 0], point[:, 1])
     turned = point @ face.rotation
-    return np.asarray(face.surface.normal(turned[:, 0], turned[:, 1]) @ face.rotation.T)
+    return np.asarray(surface.normal(turned[:, 0], turned[:, 1]) @ face.rotation.T)

@@ -79,8 +79,8 @@ class ThinPatch:
         places = self.lenses(layout, cell)
         vx, vy, vz = places.apex
         p, q, _ = to_surface(self.rotation, np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])).T
-        if places.size is not None:
-            p, q = p / places.size, q / places.size
+        size, size_y = places.focal((1.0, 1.0))
+        p, q = p / size, q / size_y
         x, y, along = to_surface(self.rotation, direction).T
         lens = np.stack([x - p * self.power[0] * along, y - q * self.power[1] * along, along], axis=-1)
         out = to_sheet(self.rotation, lens)
