@@ -1,8 +1,8 @@
 """Tables of δ, and optionally η, for each cell, from an untrusted file: CSV or NPZ.
 
-CSV: the header ``i,j,delta_x,delta_y``, optionally followed by ``,eta`` or by ``,eta_x``, ``,eta_y`` or both, and
-one row for each cell, in any order. i and j are the cell's indices as in `clacad.Lattice` (axial for hexagons). A byte order mark and
-Windows line ends are accepted.
+CSV: the header ``i,j,delta_x,delta_y``, optionally followed by ``,eta`` or by ``,eta_x``, ``,eta_y`` or
+both, and one row for each cell, in any order. i and j are the cell's indices as in `clacad.Lattice` (axial
+for hexagons). A byte order mark and Windows line ends are accepted.
 
 NPZ: an array ``delta`` (n1, n2, 2) of numbers, whose first index is the position in the row, and optionally
 ``eta``, or ``eta_x`` and ``eta_y`` (n1, n2); pickled data are not read.

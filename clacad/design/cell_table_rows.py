@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf
 from typing import IO, Any, Final, NamedTuple, NoReturn
@@ -201,9 +201,11 @@ class CellNumbers(NamedTuple):
     etas: Floats | None
 
 
-def _eta_range(eta: float) -> tuple[float, float]:
-    """Open interval of the cells' η in a sheet whose law has `eta`: f1 and f2 keep their signs."""
-    return next(ends for ends in ((-inf, 0.0), (0.0, 1.0), (1.0, inf)) if eta <= ends[1])
+def _eta_range(etas: Iterable[float]) -> tuple[float, float]:
+    """Open interval of the cells' η where the law has `etas`: f1 and f2 keep their signs. Or low ≥ high."""
+    ends = ((-inf, 0.0), (0.0, 1.0), (1.0, inf))
+    low, high = zip(*(next(each for each in ends if eta <= each[1]) for eta in etas), strict=True)
+    return max(low), min(high)
 
 
 @dataclass(frozen=True)
@@ -311,18 +313,13 @@ class TableFile:
 
     def _has_lens(self, eta: Floats, name: str) -> Bools:
         """Whether each η (...) gives lenses with the signs of the law's lenses."""
-        low, high = self._range(name)
+        low, high = _eta_range(self.eta[axis] for axis in ETAS[name])
         size = np.abs(eta)
         return np.asarray((low < eta) & (eta < high) & (size >= LEAST_ETA) & (size <= LARGEST))
 
-    def _range(self, name: str) -> tuple[float, float]:
-        """Open interval of the η that a column or array may have; an empty one is (low, high ≤ low)."""
-        low, high = zip(*(_eta_range(self.eta[axis]) for axis in ETAS[name]), strict=True)
-        return max(low), min(high)
-
     def _etas(self, name: str) -> str:
         """Describe the η that cells may have."""
-        low, high = self._range(name)
+        low, high = _eta_range(self.eta[axis] for axis in ETAS[name])
         if low >= high:
             return "eta_x and eta_y: those of law.eta lie on two sides of 0 or 1, where no one number does"
         low, high = max(low, -LARGEST), min(high, LARGEST)
@@ -416,4 +413,4 @@ class TableFile:
 
     def _shapes(self) -> str:
         n1, n2 = self.lattice.count
-        return f"array {ARRAY!r} ({n1}, {n2}, 2) of numbers, C order; perhaps 'eta', or 'eta_x' and 'eta_y' ({n1}, {n2})"
+        return f"array {ARRAY!r} ({n1}, {n2}, 2) of numbers, C order; perhaps {', '.join(ETAS)} ({n1}, {n2})"

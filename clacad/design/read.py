@@ -48,11 +48,6 @@ def read_dict(data: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, An
     return _read(given_table(data), tuple(overrides), None, "")
 
 
-def values_of(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by dotted key of a valid design, from its keys as written: the input of the rules."""
-    return _checked(dict(given))[0]
-
-
 def read_changed(given: Mapping[str, Any], path: str, changes: Mapping[str, Any]) -> dict[str, Any]:
     """Read a design's keys as written, some changed; return fields of a `Design`, see `Design.replace`."""
     return _read(override.with_changes(given, changes, override.put_dotted, ""), (), None, path)

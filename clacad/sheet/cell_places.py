@@ -28,11 +28,11 @@ from numpy.typing import ArrayLike
 from clacad.base.pairs import Pair, pair, pair_sum, two_product
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.optics.law.focusing import Gradient, VaryingLaw, ratios_of, refract_each, with_ratios
-from clacad.optics.surface import Surface, stretched
 from clacad.sheet.pattern import cosine_and_sine, turned, turned_pairs
 
 if TYPE_CHECKING:
     from clacad.optics.law import Law
+    from clacad.optics.surface import Surface
     from clacad.sheet.lattice import Lattice
 
 DIRECTIONS = 64
@@ -166,9 +166,13 @@ class LensPlaces:
     aspect: Floats | None = None
 
     def shape(self, surface: Surface, like: tuple[int, ...] | None = None) -> Surface:
-        """Surface of the lenses before they are scaled; `like`: of each of so many points, in one row."""
+        """Surface of the lenses before they are scaled; `like`: one for each point of arrays of this
+        shape, in one row.
+        """
         if self.aspect is None:
             return surface
+        from clacad.optics.surface import stretched
+
         return stretched(surface, self.aspect if like is None else np.broadcast_to(self.aspect, like).ravel())
 
     def focal(self, lengths: Pair2) -> tuple[Any, Any]:
@@ -216,7 +220,7 @@ class VertexChange:
     size : (n1, n2) array or None
         Scale factor of each cell's lens relative to the face's lens; indexed as `table`. None: 1 for all.
     aspect : (n1, n2) array or None
-        Curvature along y of each cell's lens over that of the scaled one; only beside `size`.
+        Curvature along y of each cell's lens over that of the scaled one; only with `size`.
     climb : (along x, along y). Additional rise in z per displacement of the cell's centre in the lattice: of
         lenses that do not move as their cells do.
     lift : (n1, n2) array or None, lengths. Additional rise of each cell's lens; indexed as `table`.
@@ -399,8 +403,9 @@ class CellLaws:
     gradient : ((K_xx, K_xy), (K_yx, K_yy)), 1/length. Rows: lens axes; columns: sheet axes.
     table : (n1, n2, 2) array or None
         δ of each cell, indexed as the table of `clacad.sheet.cell_places.VertexChange`.
-    ratios : (n1, n2) or (n1, n2, 2) array or None. η, the ratio −f2/f1 of both lens axes or of each, of each
-        cell, given with such a table; None: the law's η in all cells.
+    ratios : (n1, n2) or (n1, n2, 2) array or None
+        η, the ratio −f2/f1 of both lens axes or of either, of each cell, given with such a table; None: the
+        law's η in all cells.
     """
 
     law: Law

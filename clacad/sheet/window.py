@@ -426,7 +426,7 @@ class Window(PlacedArrays):
 
     @property
     def many_aspects(self) -> bool:
-        """Whether they differ along y from what their sizes say: each cell has an η_x and an η_y."""
+        """Whether the lenses of one face differ in the ratio of their curvatures: by an η_x and an η_y."""
         return any(face.change is not None and face.change.aspect is not None for face in self.faces)
 
     @property

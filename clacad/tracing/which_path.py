@@ -104,7 +104,7 @@ def _rate(rung: Rung) -> Rung:
 
 def has_kernel(rung: Rung, window: Window) -> bool:
     """Whether a rung of a sheet has kernels: arrays not turned, lenses that do not rise with the places of
-    their cells, no cells with an η each along both axes, and rung thin without a field lens or an opaque line.
+    their cells, no cells with an η_x and an η_y, and rung thin without a field lens or an opaque line.
     """
     laws = window.cell_laws
     if laws is not None and laws.ratios is not None and laws.ratios.ndim == 3:

@@ -296,7 +296,7 @@ def test_radii_of_a_slab_are_as_its_formula_has_them(tmp_path):
     "keys", [{}, {"pair__surface": None}, {"pair__surface": None, "lattice__kind": "hexagonal"}]
 )
 def test_cells_of_an_eta_along_each_axis_are_those_of_the_sheet_of_that_law(tmp_path, keys):
-    """Of a sheet of equal cells, whose faces no table scales."""
+    """Of a uniform sheet, whose faces no table scales."""
     window = built(tmp_path, BOTH, still, pair__offset="paraxial", **keys)
     for cell in window.lattice.cells()[::5]:
         law = window.law_at(cell)

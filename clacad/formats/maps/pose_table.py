@@ -109,8 +109,8 @@ def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
         }
     if face.change is not None and face.change.aspect is not None:
         found["aspect"] = (
-            "cell by cell in the pose table: before that, the curvature along y is multiplied by it, and kappa"
-            " by its square root"
+            "cell by cell in the pose table: the curvature along y is first multiplied by it, and kappa by its"
+            " square root"
         )
     return found
 
