@@ -331,7 +331,8 @@ def varying(report: Report, window: Window) -> str:
         _map(axes[2], high, box, title, cmap="viridis", vmin=0.0, vmax=top)
         own_eta = laws.ratios is not None
         if own_eta:
-            _map(axes[3], maps[3], box, "eta", cmap="viridis")
+            title = "eta x" if laws.ratios is not None and laws.ratios.ndim == 3 else "eta"
+            _map(axes[3], maps[3], box, title, cmap="viridis")
         for panel in axes[: 3 + own_eta]:
             panel.grid(False)
             panel.set_xlabel("x on the sheet (mm)")

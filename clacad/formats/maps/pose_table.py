@@ -109,8 +109,8 @@ def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
         }
     if face.change is not None and face.change.aspect is not None:
         found["aspect"] = (
-            "cell by cell in the pose table: the curvature along y is first multiplied by it, and kappa by its"
-            " square root"
+            "cell by cell in the pose table: first the curvature along y is multiplied by it, and kappa by"
+            " its square root"
         )
     return found
 
@@ -251,6 +251,9 @@ def _check_pose(
     points = np.column_stack([x + centre[0], y + centre[1], z])[np.isfinite(z)] * scale
     turn = rotation_degrees(float(row["phi_deg"]), float(row["theta_deg"]), float(row["psi_deg"]))
     local = (points - apex) @ turn / float(row.get("size") or 1.0)
+    for key, power in (("curvature_y_per_mm", 1.0), ("kappa_per_mm", 0.5)):
+        if key in entry and row.get("aspect"):
+            entry = entry | {key: entry[key] * float(row["aspect"]) ** power}
     left = _equation(entry, local)
     if not len(points) or np.abs(left).max() > 1e-13 * max(float(np.abs(points).max()), reach * scale):
         raise FileDisagrees(
