@@ -23,7 +23,7 @@ from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.sections import LATTICE
 from clacad.optics.rays import Fate
 from clacad.optics.sequence import Interface, cross, launch, pass_on, unit_directions
-from clacad.optics.surface import stretched
+from clacad.optics.surface.sag_and_normal import stretched
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.face_order import refractions
 from clacad.sheet.like_cell import interfaces

@@ -171,7 +171,7 @@ class LensPlaces:
         """
         if self.aspect is None:
             return surface
-        from clacad.optics.surface import stretched
+        from clacad.optics.surface.sag_and_normal import stretched
 
         return stretched(surface, self.aspect if like is None else np.broadcast_to(self.aspect, like).ravel())
 

@@ -22,7 +22,6 @@ from clacad.optics.surface.sag_and_normal import (
     sag,
     sharpest_bend,
     simplest,
-    stretched,
 )
 
 __all__ = [
@@ -44,6 +43,5 @@ __all__ = [
     "sag",
     "sharpest_bend",
     "simplest",
-    "stretched",
     "upright_sag",
 ]
