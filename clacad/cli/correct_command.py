@@ -10,7 +10,7 @@ from clacad.base.text import mrad_text, plainly
 from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, option, overwrite_option, required
 from clacad.cli.console import Console
-from clacad.cli.option_values import BadOption, load_counted
+from clacad.cli.option_values import BadOption, load_counted, parse_cell
 
 if TYPE_CHECKING:
     from clacad.making.correction import Correction
@@ -34,6 +34,9 @@ class Correct(OfDesign):
     lateral_scale: str | None = option("--lateral-scale TEXT", "Lateral scale of a map.")
     tilted: Path | None = option(
         "--tilted MAP", "A map of the same field tilted by 8 deg: gives the z scale."
+    )
+    cell: tuple[int, int] | None = option(
+        "--cell I,J", "Cell of the sheet nearest to the middle of the map.", read=parse_cell
     )
     unit: str | None = option("--unit WORD", "Length unit of a cloud x y z that states none, e.g. um.")
     calibration: Path | None = option(
@@ -59,7 +62,7 @@ def run(request: Correct, console: Console) -> int:
     with console.forecast(TASK, 4.0):
         found = correct(
             design,
-            request.measured,
+            request.measured if request.cell is None else (request.measured, request.cell),
             side=side,
             previous=request.out,
             z_scale=request.z_scale,

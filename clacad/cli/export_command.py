@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.exporting.manifest import Manifest
     from clacad.exporting.request import Request
+    from clacad.sheet.window import Window
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,11 +83,15 @@ def run(given: Export, console: Console) -> int:
     request = _request(design, given)
     if given.target is not None:
         request = _within_target(design, given, given.target, request, console)
+    window = None
     if given.as_made:
-        request = _as_made(_cut(design, request), request, console)
+        from clacad.prescription.prescribe import prescribe
+
+        window = prescribe(_cut(design, request))
+        request = _as_made(design, window, request, console)
     if given.dry_run:
-        return _forecast(design, given.out, request, console)
-    return _export(given, design, request, console)
+        return _forecast(design, given.out, request, console, window)
+    return _export(given, design, request, console, window)
 
 
 def _request(design: Design, given: Export) -> Request:
@@ -110,12 +115,11 @@ def _request(design: Design, given: Export) -> Request:
     return Request(**{**typed, **read})
 
 
-def _as_made(design: Design, request: Request, console: Console) -> Request:
+def _as_made(design: Design, window: Window, request: Request, console: Console) -> Request:
     """The request with the light of the sheet as its process makes it, which is printed."""
     from clacad.making.light_as_made import judge_as_made
-    from clacad.prescription.prescribe import prescribe
 
-    found = judge_as_made(design, prescribe(design))
+    found = judge_as_made(design, window)
     for check in found.checks:
         console.say(f"{check.id} {check.state}: {check.sentence}")
     return replace(request, as_made=found.to_dict())
@@ -128,13 +132,13 @@ def _length(name: str, text: str | None, design: Design) -> float | None:
     return None if text is None else parse_distance(OPTIONS[name].flag, text, design.unit)
 
 
-def _export(given: Export, design: Design, request: Request, console: Console) -> int:
+def _export(given: Export, design: Design, request: Request, console: Console, window: Window | None) -> int:
     """Write the files, print them and the derived numbers; return the exit status."""
     from clacad.exporting.run import run_export
 
     with console.progress() as progress:
         _announce(_cut(design, request), request, progress, console)
-        manifest = run_export(design, str(given.out), request, progress)
+        manifest = run_export(design, str(given.out), request, progress, window)
     for entry in manifest.files:
         _warn_of(str(entry["name"]), entry, design.check.of_light[0])
 
@@ -143,8 +147,8 @@ def _export(given: Export, design: Design, request: Request, console: Console) -
         from clacad.prescription.prescribe import prescribe
         from clacad.sheet.feasibility import describe, feasibility
 
-        window = prescribe(_cut(design, request))
-        derived = derived_text(describe(window, feasibility(window, *design.viewing_places)))
+        built = prescribe(_cut(design, request)) if window is None else window
+        derived = derived_text(describe(built, feasibility(built, *design.viewing_places)))
         files = files_text(manifest.files, design.check.of_light[0])
         return f"{design.name}\n{derived}\nfiles in {manifest.folder}\n{files}\nnext: {following}"
 
@@ -163,6 +167,8 @@ def _brief(design: Design, manifest: Manifest, following: str) -> Brief:
         role = str(entry.get("role", "")).replace("-", " ") + " (declared)" * bool(entry.get("role_declared"))
         rms = entry.get("forecast_law_rms")
         light = "" if rms is None else f"light {mrad_text(rms, 3, unit='')} of {mrad_text(limit, 3)} rms"
+        made = entry.get("forecast_law_rms_as_made")
+        light += "" if made is None else f", all light as made {mrad_text(made, 3)}"
         missing = len(entry.get("left_out", ()))
         left_out = f"does not hold {count_text(missing, 'thing')} of the design" if missing else ""
         rows.append(
@@ -251,12 +257,12 @@ def _name_cheapest(design: Design, target: float, chosen: Sequence[str], console
         console.say(f"cheapest file within it: {best}: {best.options}")
 
 
-def _forecast(design: Design, out: Path, request: Request, console: Console) -> int:
+def _forecast(design: Design, out: Path, request: Request, console: Console, window: Window | None) -> int:
     """Print the cost of an export and the roles of its files; refuse what an export would be refused."""
     from clacad.cli.tables import forecast_text
     from clacad.exporting.run import forecast_rows, in_all
 
-    found = forecast_rows(design, request, out)
+    found = forecast_rows(design, request, out, window)
     rows: list[dict[str, Any]] = [row.to_dict() for row in found]
     for row in rows:
         _warn_of(row["format"], row, design.check.of_light[0])

@@ -39,6 +39,7 @@ class FileRecord:
     unit : Unit of the file's numbers.
     facts : Keys of the manifest that the format has: mode, solids, faces, triangles, quads, slope_error_rms,
         sag_error_max, float, volume, volume_exact (file's unit cubed), saddles, wedges, merged_steps,
+        forecast_law_rms_as_made (radians; all light through the part made from it, with --as-made),
         fit_error and rim_error (mm; largest distance of fitted lens faces and fitted rims from the true
         ones), left_out (sentences: what the format cannot hold), objects and instances (meshes; of each
         object).

@@ -11,6 +11,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from inspect import Parameter, Signature, signature
+from math import sqrt
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
@@ -80,8 +81,10 @@ CAD_MODULES = ("OCP.STEPCAFControl", "OCP.BRepGProp", "OCP.BRepCheck")
 """Modules that the worker loads while the parent prepares the work."""
 
 
-def run_export(design: Design, out: str, request: Request, progress: Progress | None) -> Manifest:
-    """Do what `clacad.exporting.run.export` promises."""
+def run_export(
+    design: Design, out: str, request: Request, progress: Progress | None, window: Window | None = None
+) -> Manifest:
+    """Do what `clacad.exporting.run.export` promises; window: the sheet as built, where it is known."""
     report = shown_progress(progress)
     asked, (made, formats, request) = request, _begun(design, request)
     began, used = time.monotonic(), time.process_time()
@@ -89,7 +92,7 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
         if any(format_of(name).kernel for name in formats):
             worker.start()  # OCC loads while the design is prescribed and forecast
         report("forecast", 0.0)
-        window = _prescribed(made, request)
+        window = _prescribed(made, request, window)
         meshes = Meshes(window, request.saddle_bevel, request.fused)
         rows = _forecast(made, meshes, formats, request, (Path(out), worker))
         quads = {row.quads for row in rows if row.quads is not None}
@@ -125,16 +128,19 @@ def run_export(design: Design, out: str, request: Request, progress: Progress | 
     return manifest
 
 
-def forecast_rows(design: Design, request: Request, out: Path | None = None) -> list[Forecast]:
+def forecast_rows(
+    design: Design, request: Request, out: Path | None = None, window: Window | None = None
+) -> list[Forecast]:
     """Cost of an export, format by format; writes nothing.
 
+    window : The sheet as built, with the cells of the request; None: it is prescribed here.
     out : The target folder: the refusals of `export` apply here too, those of size unless forced. None: rows
         of any size, and of files that the design cannot have, are returned.
     Raises DesignError, NotPossible, LimitRefused, CannotBuild: The refusals of all formats together.
     Raises CannotWrite: The folder cannot be made or written to.
     """
     made, formats, request = _begun(design, request)
-    meshes = Meshes(_prescribed(made, request), request.saddle_bevel, request.fused)
+    meshes = Meshes(_prescribed(made, request, window), request.saddle_bevel, request.fused)
     if out is None:
         return _forecast(made, meshes, formats, request, None)
     with ended_by_signals(), Worker(memory=worker_memory()) as worker:
@@ -246,11 +252,11 @@ def in_all(rows: Sequence[Forecast]) -> Span:
     )
 
 
-def _prescribed(design: Design, request: Request) -> Window:
-    """The sheet as built, which has the requested cell."""
+def _prescribed(design: Design, request: Request, window: Window | None = None) -> Window:
+    """The sheet as built, which has the requested cell; `window`: where it is known."""
     from clacad.prescription.prescribe import prescribe
 
-    window = prescribe(design)
+    window = prescribe(design) if window is None else window
     if request.cell is not None:
         limits.refuse_no_cell(window, request.cell)
     return window
@@ -281,6 +287,7 @@ def _produced(
                     one = replace(one, tessellation=own.at(row.quads))
                 one = replace(one, window=sheet)
                 cell = kind.cell_facts(job.window, job.request)
+                cell |= _as_made(row, job.request)
                 records += [_with_facts(record, row, cell) for record in kind.write(one)]
         except (ExportError, MemoryError, ValueError) as error:
             failures[name] = _failure(name, error)
@@ -293,6 +300,15 @@ def _produced(
         for made in records[done:]:
             log.note("file", seconds=round(seconds[name], 4), **made.to_dict())
     return records, failures, seconds
+
+
+def _as_made(row: Forecast, request: Request) -> dict[str, float]:
+    """Forecast of all light through the part made from a file: errors of facets and process in squares."""
+    found, made = row.prospect, request.as_made
+    if found is None or made is None or found.law_rms is None or made["everything"] is None:
+        return {}
+    facets = max(0.0, found.law_rms**2 - made["designed"] ** 2)
+    return {"forecast_law_rms_as_made": sqrt(facets + made["everything"] ** 2)}
 
 
 def _with_facts(record: FileRecord, row: Forecast, facts: Mapping[str, Any]) -> FileRecord:

@@ -13,14 +13,16 @@ process makes of it. Where the file is something else, the check of shape names 
 turned, mirrored, scaled the wrong way.
 
 Light: deviations of the file over one cell are fitted by Legendre polynomials to degree 8; the process makes
-of that form the face through which rays are traced. Steps and facets are texture, which rays do not see.
+of that form the face through which rays are traced. Steps are texture, which rays do not see. Facets of an
+insert are traced as the part has them.
 """
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from math import inf
 from typing import TYPE_CHECKING
 
@@ -45,7 +47,15 @@ from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.shrunk import TURN, growth, insert_window
 from clacad.sheet.window import Face, Window, face_height
 from clacad.storage.errors import BadRequest, ExportError, UnreadableFile
-from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, FacetBody, sampled_face, trace_facets
+from clacad.tracing.facets.telescopelet import (
+    AnyFace,
+    ExactFace,
+    FacetBody,
+    facet_face,
+    on_land,
+    sampled_face,
+    trace_facets,
+)
 from clacad.tracing.worst_cell import SeenCell
 
 if TYPE_CHECKING:
@@ -75,7 +85,9 @@ def map_light(asked: Inspection, window: Window, subject: Subject, kind: FileKin
     like = next(f for _, f, name in structured_faces(one.like) if name == label)
     try:
         held = samples(FaceFile(described, body, face, label, subject.path), cell)
-        through = made_bodies(one.like, like, cell, held.points, held.step)
+        through = made_bodies(
+            one.like, like, cell, partial(sampled_face, one.like, like, samples=held.points, step=held.step)
+        )
     except (ExportError, OSError, ValueError) as error:
         why = f"no light can be sent through it: {error}"
         return [kind.not_run(why, **asked.common) for kind in THROUGH_FILE]
@@ -101,18 +113,15 @@ def light_of_cell(asked: Inspection, one: SeenCell, send: Send, what: str) -> li
 
 
 def made_bodies(
-    window: Window, sampled: Face, cell: tuple[int, int], points: Floats, step: Floats
+    window: Window, made: Face, cell: tuple[int, int], shape: Callable[[Floats], AnyFace]
 ) -> tuple[FacetBody, ...]:
-    """Telescopelet of a cell: one face as at points (m, 3), `step` (2,) apart; the others as designed."""
+    """Telescopelet of a cell: one face as `shape` makes it about its middle (3,); the others as designed."""
     bodies = []
     for body in window.bodies:
         faces: list[AnyFace] = []
         for face in (body.front, body.back):
             place = np.array([*_centre(window, face, cell), 0.0])
-            if face is sampled:
-                faces.append(sampled_face(window, face, place, points, step))
-            else:
-                faces.append(ExactFace(face, place, window))
+            faces.append(shape(place) if face is made else ExactFace(face, place, window))
         bodies.append(FacetBody(faces[0], faces[1], body))
     return tuple(bodies)
 
@@ -231,16 +240,16 @@ def judge_points(
         return [unreadable(error, **common), SHAPE.not_run("the file cannot be read", **common)]
     if fixed is not None and not is_insert(kind.word):
         worst, room = fixed[0] / of.scale, fixed[1] / of.scale
-    sentence = (
-        f"{len(points):,} points of {of.label}: up to {worst * of.scale:.3g} mm off what makes the part"
-    )
+    what = f"{len(points):,} points of {of.label}" if fixed is None else fixed[2]
+    sentence = f"{what}: up to {worst * of.scale:.3g} mm off what makes the part"
     if not worst <= room and (reason := _reason(of, points, compensation, CLOSE * room)):
         sentence += f"; {reason}"
     source = other("rounding of the format")
     shape = SHAPE.judge(worst * of.scale, room * of.scale, sentence, unit="mm", limit_source=source, **common)
     found = READABLE.check("pass", f"{kind.word}, {len(points):,} points of {of.label}", **common)
     try:
-        light = _light(asked, window, window.faces[number], of, points, compensation)
+        facets = None if kind.reading.facets is None else kind.reading.facets(of)
+        light = _light(asked, window, window.faces[number], of, (points, facets), compensation)
     except (ExportError, ValueError, ArithmeticError) as error:
         why = f"no light can be sent through the part that it makes: {error}"
         light = [one.not_run(why, **common) for one in THROUGH_FILE]
@@ -306,15 +315,79 @@ def _instead(of: FaceFile, points: Floats, compensation: Compensation) -> Iterat
 
 
 def _light(
-    asked: Inspection, window: Window, face: Face, of: FaceFile, points: Floats, compensation: Compensation
+    asked: Inspection,
+    window: Window,
+    face: Face,
+    of: FaceFile,
+    held: tuple[Floats, Floats | None],
+    compensation: Compensation,
 ) -> list[Check]:
-    """Checks of light through the part that the process makes of a file of one face."""
+    """Checks of light through the part that the process makes of a file of one face.
+
+    held : Points (m, 3) of the file, and its facets (t, 3, 3) where it has any.
+    """
     one = lit_cell(asked, window)
     like = one.like.faces[window.number_of(face)]
-    made, step = _made(one.like, like, of, points, one.index, compensation)
-    through = made_bodies(one.like, like, one.index, made, step)
-    what = f"form of the part that it makes, without roundings and texture ({of.label}; the rest as designed)"
+    points, facets = held
+    if facets is None:
+        made, step = _made(one.like, like, of, points, one.index, compensation)
+        what = "form of the part that it makes, without roundings and texture"
+    else:
+        what = "facets of the part that it makes"
+
+    def shape(place: Floats) -> AnyFace:
+        if facets is None:
+            return sampled_face(one.like, like, place, made, step)
+        there = _made_facets(one.like, like, of, facets, one.index, compensation) + place
+        return facet_face(there, place + [0.0, 0.0, like.vertex[2]], on_land(one.like, like, there))
+
+    through, what = (
+        made_bodies(one.like, like, one.index, shape),
+        f"{what} ({of.label}; the rest as designed)",
+    )
     return light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)
+
+
+def _made_facets(
+    window: Window,
+    face: Face,
+    of: FaceFile,
+    facets: Floats,
+    cell: tuple[int, int],
+    compensation: Compensation,
+) -> Floats:
+    """Facets (t, 3, 3) of the part over a cell, cell frame, that those of an insert mould."""
+    turned = face.side < 0
+    middle, own, half = _file_cell(of, cell, turned)
+    local = facets - np.array([*middle, own.vertex[2]])
+    past = of.window.lattice_of(of.face.array or 0).past_borders(*local[..., :2].mean(axis=1).T)
+    local = local[(past <= 0.0).all(axis=0)]
+    x, y, height = np.moveaxis(local, 2, 0)
+    points = _shrunk(face, compensation, half, (x, y, -height), turned)
+    return points[:, ::-1]  # the part is where the steel is not
+
+
+def _shrunk(
+    face: Face, compensation: Compensation, half: Floats, at: tuple[Floats, Floats, Floats], turned: bool
+) -> Floats:
+    """Points (..., 3) of the part, cell frame, at places and outward heights `at` of a file's cell."""
+    (u, v, outward), grow = at, np.array(growth(compensation.shrinkage))
+    sunk = compensation.sink * (1.0 - (u / half[0]) ** 2) * (1.0 - (v / half[1]) ** 2)
+    raised = compensation.sink  # heights are counted from the apex of the bent lens
+    z = face.vertex[2] - face.side * (outward + raised - sunk) / grow[2]
+    return np.stack([u / grow[0], (-v if turned else v) / grow[1], z], axis=-1)
+
+
+def _file_cell(of: FaceFile, cell: tuple[int, int], turned: bool) -> tuple[Floats, Face, Floats]:
+    """Middle (2,) of a cell in a file, its own face there, and half the cell (2,)."""
+    array = of.face.array or 0
+    middle = _cell_of_file(of, cell, turned)
+    index, _, _ = of.window.locate(array, middle[:1], middle[1:])
+    return (
+        middle,
+        of.window.in_cell(of.face, index[0]),
+        np.abs(of.window.lattice_of(array).tile()).max(axis=0),
+    )
 
 
 def _made(
@@ -331,22 +404,16 @@ def _made(
     """
     insert = of.window.bodies[0].name == of.label  # the steel is named after its face
     turned = insert and face.side < 0
-    flipped = -1.0 if turned else 1.0
-    middle = _cell_of_file(of, cell, turned)
-    index, _, _ = of.window.locate(of.face.array or 0, middle[:1], middle[1:])
-    own = of.window.in_cell(of.face, index[0])
-    fit, half = _form(of, points, middle)
+    middle, own, half = _file_cell(of, cell, turned)
+    fit = _form(of, points, middle)
     grow = np.array(growth(compensation.shrinkage))
     tile = window.lattice_of(face.array or 0).tile()
     reach = np.abs(tile).max(axis=0)
     x, y = np.meshgrid(*(np.linspace(-r, r, GRID) for r in reach))
-    u, v = x.ravel() * grow[0], flipped * y.ravel() * grow[1]
+    u, v = x.ravel() * grow[0], y.ravel() * (-grow[1] if turned else grow[1])
     height = face_height(of.window, own, u, v) + fit(u, v) - own.vertex[2]
     outward = -height if insert else -of.face.side * height
-    sunk = compensation.sink * (1.0 - (u / half[0]) ** 2) * (1.0 - (v / half[1]) ** 2)
-    raised = compensation.sink  # heights are counted from the apex of the bent lens
-    z = face.vertex[2] - face.side * (outward + raised - sunk) / grow[2]
-    return np.stack([x.ravel(), y.ravel(), z], axis=1), 2.0 * reach / (GRID - 1)
+    return _shrunk(face, compensation, half, (u, v, outward), turned), 2.0 * reach / (GRID - 1)
 
 
 def _cell_of_file(of: FaceFile, cell: tuple[int, int], turned: bool) -> Floats:
@@ -358,8 +425,8 @@ def _cell_of_file(of: FaceFile, cell: tuple[int, int], turned: bool) -> Floats:
     return np.asarray((middle - shift) * [1.0, -1.0] + shift)
 
 
-def _form(of: FaceFile, points: Floats, middle: Floats) -> tuple[Form, Floats]:
-    """Deviation of a file from its face over a cell, as Legendre polynomials, and half the cell (2,).
+def _form(of: FaceFile, points: Floats, middle: Floats) -> Form:
+    """Deviation of a file from its face over a cell, as Legendre polynomials.
 
     Raises ValueError: Too few points lie over the cell.
     """
@@ -371,7 +438,7 @@ def _form(of: FaceFile, points: Floats, middle: Floats) -> tuple[Form, Floats]:
         raise ValueError(f"{inside.sum()} points lie over a cell; 24 and more give a form")
     degree = min(DEGREE, int(np.sqrt(inside.sum() / 2.0)) - 1)
     base = legendre(local[inside, 0], local[inside, 1], (degree + 1) * (degree + 2) // 2)
-    return Form(half, np.linalg.lstsq(base, off[inside], rcond=None)[0]), half
+    return Form(half, np.linalg.lstsq(base, off[inside], rcond=None)[0])
 
 
 @dataclass(frozen=True, eq=False)

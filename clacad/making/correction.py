@@ -1,8 +1,9 @@
 """Correct the shape that a machine is commanded to make, by a height map of the part that it made.
 
-The next command is the last one plus target less measured form. The form is what all measured lenslets share:
-Legendre polynomials to degree 8, each coefficient less the part that noise may have made, carried on to the
-rim of the cell. Height and tilt of a single lenslet are no property of a map and are not corrected.
+The next command is the last one plus target less measured form. The form is what all measured lenslets share,
+and in a sheet of differing lenslets also what each has of its own: Legendre polynomials to degree 8, each
+coefficient less the part that noise may have made, carried on to the rim of the cell. Height and tilt of a
+single lenslet are no property of a map and are not corrected.
 """
 
 from __future__ import annotations
@@ -10,8 +11,8 @@ from __future__ import annotations
 import io
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence, Sized
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite
 from pathlib import Path
@@ -52,11 +53,17 @@ NEXT = "next.toml"
 NODES = 128
 """Heights of a command along each side of the box around a cell; the next cell begins after the last."""
 
+TERMS = 45
+"""Number of polynomials to degree 8."""
+
 FARTHEST = 1.5
 """Largest correction at the rim, over its range inside the measured aperture."""
 
 FIRST = 3
 """Number of polynomials of degree 0 and 1: height and tilt of a lenslet, which a map does not show."""
+
+MOST_CELLS = 1024
+"""Most cells whose heights are written one by one."""
 
 LONGEST = 1 << 26
 """Longest file of numbers (bytes) of a measured part that is read."""
@@ -82,6 +89,8 @@ class Correction:
     stopped : str
         Why no correction was made; "" where one was.
     notes : tuple of str
+    own : mapping (i, j) → (c,) coefficients, design units
+        Form that the command of a cell has besides that of all cells; empty where all lenslets are alike.
     """
 
     design: Design
@@ -93,6 +102,7 @@ class Correction:
     history: tuple[Mapping[str, Any], ...] = ()
     stopped: str = ""
     notes: tuple[str, ...] = ()
+    own: Mapping[tuple[int, int], Floats] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Correction({self.design.name!r}, {self.side}, round {self.round}): {self.summary}"
@@ -149,6 +159,12 @@ class Correction:
     def added(self) -> Floats:
         """Command less the design (128, 128), length, of every cell; NaN off the cell."""
         return np.asarray(self.heights - _designed(self._side))
+
+    def _in_cell(self, cell: tuple[int, int]) -> Floats:
+        """Command (128, 128), length, of a cell of the sheet, above the plane of the apexes; NaN off it."""
+        side = self._side
+        heights = side.heights(np.array(cell), *places(side)).reshape(NODES, NODES) + self.added()
+        return heights + _added(self.own[cell], side) if cell in self.own else heights
 
     def next_design(self, others: Sequence[Correction] = ()) -> tuple[Design, Floats]:
         """Design whose faces are the commands, and what they leave of this side's, (128, 128) lengths.
@@ -218,7 +234,9 @@ class Correction:
         """Write the command as a height map (NPY, JSON) and the state of the loop; return their paths.
 
         Next to it the form that is added to the design of every cell and, where a design file can hold the
-        commands of all corrected sides, `next.toml` and what its face leaves of the command. For greyscale
+        commands of all corrected sides, `next.toml` and what its face leaves of the command. Of differing
+        lenslets the own form of each measured one: a row i, j, coefficients of `cells-front.npy`, and its
+        command at the same place of `command-cells-front.npy`. For greyscale
         also the levels of its dose, a PNG whose first row has the largest y. Files of an earlier round of the
         same side are replaced.
 
@@ -233,6 +251,10 @@ class Correction:
         if not self.no_next_design:
             design, maps[f"rest-{self.side}.npy"] = self.next_design(self._other(folder))
             contents[NEXT] = design.canonical_toml()
+        if self.own:
+            cells = sorted(self.own)
+            contents[_of_cells(self.side)] = _npy(np.array([[*cell, *self.own[cell]] for cell in cells]))
+            maps[f"command-cells-{self.side}.npy"] = np.array([self._in_cell(c) for c in cells[:MOST_CELLS]])
         for name, heights in maps.items():
             contents[name] = _npy(heights)
             contents[f"{name}.json"] = json.dumps(scales, indent=1, sort_keys=True) + "\n"
@@ -258,7 +280,7 @@ class Correction:
 
 def correct(
     design: Design,
-    measured: str | os.PathLike[str] | MeasuredMap,
+    measured: Map | tuple[Map, tuple[int, int]],
     *,
     side: str = "front",
     previous: str | os.PathLike[str] | Correction | None = None,
@@ -274,7 +296,7 @@ def correct(
     design : Design
     measured : path or MeasuredMap
         Height map of the made part as `measure` reads it, or a deviation map next to the measured.json that
-        `verify -o` wrote.
+        `verify -o` wrote; with (i, j) of the cell nearest to its middle: the map, the cell.
     side : "front" or "back"
         Side that the map shows.
     previous : path, Correction or None
@@ -311,6 +333,7 @@ def correct(
     if side not in ("front", "back"):
         raise BadRequest(f"side {printable(str(side))[:40]}: it is front or back")
     name = cast(Name, side)
+    measured, cell = measured if isinstance(measured, tuple) else (measured, None)
     window = prescribe(design)
     of = _side(window, name, design.unit_m)
     last = _previous(design, name, previous, of)
@@ -319,23 +342,50 @@ def correct(
         raise BadRequest(
             f"{Path(cast(str, measured)).name} was corrected in an earlier round; measure the next part"
         )
-    maps = Maps(None, None, tilted, z_scale, lateral_scale, unit)
-    points, heights, facts = _deviation(design, window, of, measured, maps)
+    maps = Maps(None, None, tilted, z_scale, lateral_scale, unit, cell)
+    points, heights, facts, cells = _deviation(design, window, of, measured, maps)
     facts |= {"sha256": digest} if digest else {}
-    u, v, off, pixel = points
-    found, doubt = pooled_form(u, v, off, of.aperture, pixel)
-    found, doubt = shrunk(found, doubt), doubt.copy()
-    found[:FIRST] = doubt[:FIRST] = 0.0
-    made = replace(
-        last, round=last.round + 1, rms=_rms(found, of.aperture), doubt=_rms(doubt, of.aperture, alone=True)
-    )
+    found, doubt = _form(points, of)
+    each = {} if cells is None else _forms(points, cells, of)
+    alone = [(found, doubt), *each.values()][1 if each else 0 :]
+    rms = [np.array([_rms(one, of.aperture, k == 1) for one in pair]) for k, pair in enumerate(zip(*alone))]
+    made = replace(last, round=last.round + 1, rms=_mean(rms[0]), doubt=_mean(rms[1]))
     facts |= {"round": made.round, "rms": made.rms}
-    notes = tuple(_notes(design, of, heights))
+    notes = tuple(_notes(design, of, heights, each))
     why = _why_stopped(last, made, heights)
     if why:
         return replace(made, round=last.round, stopped=why, notes=notes)
-    added = _added(found, of)
-    return replace(made, heights=last.heights - added, history=(*last.history, facts), notes=notes)
+    own = dict(last.own) | {
+        cell: last.own.get(cell, np.zeros(TERMS)) + np.pad(found - form, (0, TERMS - len(found)))
+        for cell, (form, _) in each.items()
+    }
+    heights_ = last.heights - _added(found, of)
+    return replace(made, heights=heights_, history=(*last.history, facts), notes=notes, own=own)
+
+
+def _form(points: Points, side: Side) -> tuple[Floats, Floats]:
+    """Coefficients (c,) of the form of deviations, without height and tilt, and their uncertainty."""
+    u, v, off, pixel = points
+    found, doubt = pooled_form(u, v, off, side.aperture, pixel)
+    found, doubt = shrunk(found, doubt), doubt.copy()
+    found[:FIRST] = doubt[:FIRST] = 0.0
+    return found, doubt
+
+
+def _forms(points: Points, cells: Ints, side: Side) -> dict[tuple[int, int], tuple[Floats, Floats]]:
+    """The form of each cell's deviations, as `_form`; cells (n, 2) of the points."""
+    u, v, off, pixel = points
+    found, number = np.unique(cells, axis=0, return_inverse=True)
+    order = np.argsort(number.ravel(), kind="stable")
+    parts = np.split(order, np.cumsum(np.bincount(number.ravel()))[:-1])
+    return {
+        (int(i), int(j)): _form((u[rows], v[rows], off[rows], pixel), side)
+        for (i, j), rows in zip(found, parts, strict=True)
+    }
+
+
+def _mean(one: Floats) -> float:
+    return float(np.sqrt(np.mean(one**2)))
 
 
 def _why_stopped(last: Correction, made: Correction, heights: Scale) -> str:
@@ -355,14 +405,16 @@ def _why_stopped(last: Correction, made: Correction, heights: Scale) -> str:
     return ""
 
 
-def _notes(design: Design, side: Side, heights: Scale) -> Iterator[str]:
+def _notes(design: Design, side: Side, heights: Scale, each: Sized) -> Iterator[str]:
     """What limits the loop."""
     if heights.origin == HEIGHTS.origin:
         yield "the scale of heights is not known: one round only (--z-scale, --tilted)"
     elif heights.half > 1e-3:
         yield f"the loop ends at the error of the scale of heights, {percent_text(heights.half, 2)}"
     if not side.alike:
-        yield "every lenslet is compared with its own cell; the form that all of them share is corrected"
+        words = "the form that all of them share is corrected"
+        words += f", and what {len(each)} measured ones have of their own" if each else ""
+        yield f"every lenslet is compared with its own cell; {words}"
     process = process_of(design)
     step = process.layer or level_step(process, side.sag * design.unit_m)
     if step:
@@ -431,6 +483,8 @@ def _surface(heights: Floats, side: Side) -> Any:
 
 # -- the measured part ---------------------------------------------------------------------------------------
 
+Map = str | os.PathLike[str] | MeasuredMap
+
 Points = tuple[Floats, Floats, Floats, float]
 """Places of all measured points in their cells, deviations there, and the distance of neighbouring points."""
 
@@ -439,15 +493,20 @@ def _deviation(
     design: Design,
     window: Window,
     side: Side,
-    measured: str | os.PathLike[str] | MeasuredMap,
+    measured: Map,
     maps: Maps,
-) -> tuple[Points, Scale, dict[str, Any]]:
-    """Deviations of a measured part, its scale of heights, and what is recorded of it."""
+) -> tuple[Points, Scale, dict[str, Any], Ints | None]:
+    """Deviations of a measured part, its scale of heights, what is recorded of it, and the cells of points.
+
+    The cells are None where all lenslets are alike, or a map does not show which cells are in it.
+    """
     if not isinstance(measured, MeasuredMap):
         path = Path(measured)
         if path.name.startswith("deviation") and path.suffix == ".npy":
-            return _of_deviation_map(design, side, path)
-    found, heights, _ = fitted_sides(design, window, maps.of(side.name, measured))
+            return *_of_deviation_map(design, side, path), None
+    found, heights, _ = fitted_sides(
+        design, window, maps.of(side.name, measured if maps.cell is None else (measured, maps.cell))
+    )
     one = found[side.name]
     check = design.check
     rms = law_rms_of_form(window, {side.name: one.lit}, check.field, check.field_centre)
@@ -455,7 +514,9 @@ def _deviation(
     held = number >= 0
     u, v, z = u[held], v[held], z[held]
     facts = {"file": one.measured.name, "law_rms": rms if isfinite(rms) else None}
-    return (u, v, z - _wished(one, number[held], u, v), max(one.measured.pixel)), heights, facts
+    number, cells = number[held], one.lit.cells
+    shown = None if side.alike or "assumed" in cells.known else cells.of(one.lenslets.index)[number]
+    return (u, v, z - _wished(one, number, u, v), max(one.measured.pixel)), heights, facts, shown
 
 
 def _wished(of: Surface, number: Ints, u: Floats, v: Floats) -> Floats:
@@ -560,7 +621,25 @@ def _previous(
         raise BadRequest(
             f"{Path(previous) / state} is of another design, other keys or side; choose another folder"
         )
-    return Correction(design, name, known[2], heights, history=known[3])
+    return Correction(design, name, known[2], heights, history=known[3], own=_own_of(Path(previous), name))
+
+
+def _of_cells(side: Name) -> str:
+    return f"cells-{side}.npy"
+
+
+def _own_of(folder: Path, name: Name) -> dict[tuple[int, int], Floats]:
+    """Own forms of cells that an earlier round wrote."""
+    path = folder / _of_cells(name)
+    if not path.exists():
+        return {}
+    try:
+        table = np.load(path, allow_pickle=False)
+        if table.ndim != 2 or table.shape[1] != 2 + TERMS or not np.isfinite(table).all():
+            raise ValueError("it holds no rows of a cell and its coefficients")
+    except (ValueError, OSError) as error:
+        raise BadRequest(f"{path.name} is no state of a correction: {printable(str(error))[:80]}") from error
+    return {(int(i), int(j)): row for (i, j), row in zip(table[:, :2], table[:, 2:], strict=True)}
 
 
 def _ours(state: Path) -> bool:

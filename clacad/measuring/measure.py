@@ -50,7 +50,7 @@ class Maps:
     cell: tuple[int, int] | None = None
     named: bool = True
 
-    def of(self, side: Name, measured: Path | MeasuredMap) -> Maps:
+    def of(self, side: Name, measured: Given) -> Maps:
         """The scales with the map of one side."""
         return replace(self, front=measured) if side == "front" else replace(self, back=measured)
 

@@ -267,3 +267,25 @@ def test_the_command_line_and_the_function_ask_for_what_is_declared() -> None:
             assert shown.default == default
     own = {"design", "out", "dry_run", "target", "normals", "set", "as_made", "process"}
     assert set(typed) - set(OPTIONS) == own
+
+
+def test_light_of_a_file_as_made_is_forecast_of_the_made_sheet_which_is_prescribed_once(
+    tmp_path, monkeypatch
+) -> None:
+    import clacad.prescription.prescribe as room
+
+    built, calls = room.prescribe, []
+    monkeypatch.setattr(room, "prescribe", lambda design, *more: calls.append(1) or built(design, *more))
+    design = str(Path(__file__).parents[2] / "designs" / "window-100mm.toml")
+    made = ["--as-made", "--process", "moulding", "--set", "process.shrinkage=[0, 0, 0.02]"]
+    asked = ["export", design, "-o", str(tmp_path), "--cells", "3x3", "--format", "stl"]
+    assert main([*asked, *made, "--quads", "64"]) == 0
+    assert len(calls) == 1
+    told = json.loads((tmp_path / "manifest.json").read_text())
+    everything = told["options"]["as_made"]["everything"]
+    [fine] = told["files"]
+    assert everything > 2.0 * fine["forecast_law_rms"]
+    assert everything < fine["forecast_law_rms_as_made"] < 1.1 * everything
+    assert main([*asked, *made, "--quads", "4", "--overwrite"]) == 0
+    [coarse] = json.loads((tmp_path / "manifest.json").read_text())["files"]
+    assert coarse["forecast_law_rms_as_made"] > max(coarse["forecast_law_rms"], everything)

@@ -67,9 +67,13 @@ def test_all_of_it_passes_by_the_light_of_the_part_that_it_makes(design, made) -
     found = judged(design, made.folder)
     exact = 0.1662e-3  # radians: what the exact surfaces leave, from `clacad check`
     for file in made.files:
+        if "quads" in file:  # a flat facet of side h leans h/R/√6 over its area, and light by n − 1 of it
+            facets = 0.5 / file["quads"] / 2.468 / np.sqrt(6.0) * 0.5
         assert not [c for c in found[file["name"]] if c.state == "fail"], file["name"]
         rms = [c.value for c in found[file["name"]] if c.id == "file_law_rms"]
-        if rms:
+        if rms and file["format"] == "insert-stl":  # its facets are those of the part that it moulds
+            assert rms[0] == pytest.approx(np.hypot(exact, facets), rel=0.05), file["name"]
+        elif rms:
             assert rms[0] == pytest.approx(exact, rel=0.02), file["name"]
     assert sum(bool(states(checks, "file_law_rms")) for checks in found.values()) == 14
 

@@ -69,6 +69,7 @@ class Reading:
     sheet : `sheet(window, path)` → misfit of a file of the whole window.
     samples : `samples(file, cell)` → heights of one cell of a face, through which light is traced.
     points : `points(file)` → points (m, 3) of tooling, lengths, in the axes of its window.
+    facets : `facets(file)` → facets (t, 3, 3) of tooling that light is traced through, lengths.
     room : Largest distance of such a point from where it belongs, in pitches.
     unit : Unit of the misfit; "": relative.
     """
@@ -78,6 +79,7 @@ class Reading:
     samples: Callable[[FaceFile, tuple[int, int]], Samples] | None = None
     unit: str = "mm"
     points: Callable[[FaceFile], Floats] | None = None
+    facets: Callable[[FaceFile], Floats] | None = None
     room: float = 1e-6
 
 

@@ -193,21 +193,27 @@ def _stl_points(of: FaceFile) -> Floats:
 
 
 def _corners(path: Path, of: FaceFile) -> Floats:
-    """Corners of facets that are no walls, each once, without those of the block's bottom and top."""
+    """Corners (m, 3) of the facets of `_facets`, each once."""
+    import numpy as np
+
+    return np.unique(_facets(path, of).reshape(-1, 3), axis=0)
+
+
+def _facets(path: Path, of: FaceFile) -> Floats:
+    """Facets (t, 3, 3) that are no walls, without those of the block's bottom and top."""
     import numpy as np
 
     from clacad.formats.mesh.readers import read_mesh
     from clacad.sheet.window import WALL
 
-    found = []
+    found = [np.empty((0, 3, 3))]
     reach = INSIDE * max(abs(z) for z in of.window.z_range)
     for chunk in read_mesh(path).chunks():
         corners = np.asarray(chunk, dtype=np.float64) / of.scale
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         level = np.abs(normal[:, 2]) > WALL * np.linalg.norm(normal, axis=1)
-        found.append(np.unique(corners[level].reshape(-1, 3), axis=0))
-    points = np.concatenate([*found, np.empty((0, 3))])
-    return np.asarray(points[np.abs(points[:, 2]) < reach])
+        found.append(corners[level & (np.abs(corners[..., 2]) < reach).all(axis=1)])
+    return np.concatenate(found)
 
 
 def _insert_heights(of: FaceFile) -> Floats:
@@ -249,7 +255,7 @@ def _write_tool(job: Job) -> list[FileRecord]:
         path = job.stage.path(f"{job.stem}.{label}.tool.csv")
         job.progress(f"write {path.name}", 0.0)
         facts = write_tool(tool, path, job.scale, job.request.tool_order, label)
-        off, count = tool_misfit(tool, path, job.scale)
+        off, count, _ = tool_misfit(tool, path, job.scale)
         if count != facts["points"] or not off <= TOOL_ROOM * min(job.window.lattice.pitch) * job.scale:
             raise FileDisagrees(f"{path.name}: its points are not those of {label}")
         records.append(job.record(path, TOOL_POINTS, bodies=[body.name], facts={"face": label, **facts}))
@@ -295,8 +301,9 @@ def _tool_surface(of: FaceFile) -> Floats:
 def _tool_misfit(of: FaceFile) -> Misfit:
     from clacad.formats.maps.tool_path import tool_misfit
 
-    worst, count = tool_misfit(_tool_of(of), of.path, of.scale)
-    return worst, TOOL_ROOM * min(of.window.lattice.pitch) * of.scale, f"{count:,} tool points of {of.label}"
+    worst, count, reached = tool_misfit(_tool_of(of), of.path, of.scale)
+    words = f"{count:,} tool points of {of.label}, of which the nose does not reach {count - reached:,}"
+    return worst, TOOL_ROOM * min(of.window.lattice.pitch) * of.scale, words
 
 
 # -- dose ------------------------------------------------------------------------------------------
@@ -490,7 +497,9 @@ FILES = (
 
 READINGS = {
     INSERT_STEP: Reading(_insert_misfit(_step_points), points=_step_points),
-    INSERT_STL: Reading(_insert_misfit(_stl_points), points=_stl_points, room=1e-5),
+    INSERT_STL: Reading(
+        _insert_misfit(_stl_points), points=_stl_points, facets=lambda of: _facets(of.path, of), room=1e-5
+    ),
     INSERT_MAP: Reading(_insert_misfit(_insert_heights), points=_insert_heights),
     TOOL_POINTS: Reading(_tool_misfit, points=_tool_surface),
     **{word: Reading(_dose_misfit, points=_dose_surface) for word in DOSE_ENDINGS},

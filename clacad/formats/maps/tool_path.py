@@ -421,29 +421,31 @@ def _table(path: Path, block: list[bytes]) -> Floats:
     return table
 
 
-def tool_misfit(tool: ToolFace, path: Path, scale: float) -> tuple[float, int]:
-    """Largest distance (mm) of a point or a centre from where it belongs, and the number of points.
+def tool_misfit(tool: ToolFace, path: Path, scale: float) -> tuple[float, int, int]:
+    """Largest distance (mm) of a point or a centre from where it belongs, the number of
+    points, and of those reached.
 
     Infinite where the radius of the nose changes or a centre that leaves its cell is called reachable. The
     radius is that of the file's first row.
     """
-    worst, count, nose = 0.0, 0, 0.0
+    worst, count, reached, nose = 0.0, 0, 0, 0.0
     for table in read_tool(path):
         nose = nose or float(np.linalg.norm(table[0, 6:9] - table[0, :3]))
         own = ToolFace(tool.window, tool.face, nose / scale, tool.step)
         at = table[:, 0] / scale, table[:, 1] * own.way / scale
         wanted = own.table(*at)
         if len(wanted) != len(table):
-            return np.inf, count
+            return np.inf, count, reached
         wanted[:, [0, 1, 2, 6, 7, 8]] *= scale
         size = min(own.lattice.pitch)
         depth = wanted[:, 9] / size / DEEP
         sure = np.abs(depth - 1.0) > 0.5
         if ((depth <= 1.0) != (table[:, 9] > 0.0))[sure].any() or not np.isfinite(table).all():
-            return np.inf, count
+            return np.inf, count, reached
         off = np.abs(wanted - table)[_off_the_border(own, *at, 1e-9 * size), :9]
         worst, count = max(worst, float(off.max(initial=0.0))), count + len(table)
-    return worst, count
+        reached += int((table[:, 9] > 0.0).sum())
+    return worst, count, reached
 
 
 def _off_the_border(tool: ToolFace, x: Floats, y: Floats, edge: float) -> Bools:
