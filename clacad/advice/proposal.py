@@ -29,6 +29,9 @@ from clacad.design.sections import ROOT, SECTIONS
 FEW = 2
 """Largest number of wishes, and of failing checks, that are told in full."""
 
+NEAR = 1e-3
+"""Largest difference of a wished side, in pitches, of which nothing is said."""
+
 MOST_WORK = 1500
 """Work after which no further wish is tried, in shares of thin lenses."""
 
@@ -282,7 +285,7 @@ def not_met(wish: Wish, judged: Judged) -> Iterator[str]:
         return
     cells = zip(("width", "height"), wish.size.size, design.lattice.count, design.lattice.pitch, strict=True)
     for name, asked, count, pitch in list(cells)[: 1 if wish.size.size[0] == wish.size.size[1] else 2]:
-        if abs(count * pitch - asked) > 1e-9 * asked:
+        if abs(count * pitch - asked) > NEAR * pitch:
             yield f"{name}: requested {asked:g} mm, {count} x {pitch:g} = {count * pitch:g} mm"
 
 

@@ -47,7 +47,7 @@ COMMANDS = {
     "verify": (DESIGN,),
     "effects": (DESIGN,),
     "explain": ("law_rms",),
-    "tolerance": (DESIGN, "--set", 'tolerances.thickness="50 um"', "--rays", "64"),
+    "tolerance": (DESIGN, "--set", 'tolerances.thickness="50 um"', "--rays", "64", "--samples", "64"),
     "wave": (DESIGN,),
     "image": (DESIGN,),
     "accuracy": ("--hard",),

@@ -86,7 +86,7 @@ COMMANDS = [
 ]  # fmt: skip
 SLOW = [
     "doctor", "accuracy --hard", "accuracy slab.toml --rays 1000 --target 2mrad",
-    "atlas --rows F1 --out atlas --size 32 --samples 1 --no-movies", "export slab.toml -o out --format step,3mf,glb", "optimise slab.toml -o better.toml --compare page.html",
+    "atlas --rows F1 --out atlas --size 32 --samples 1 --no-movies", "export slab.toml -o out --format step,3mf,glb", "optimise slab.toml -o better.toml --compare page.html --seconds 2",
     "new wished --for eta=-1,width=5mm,viewing=1m",
 ]  # fmt: skip
 CHECKED = {"check", "schema", "calibrate", "correct"}
