@@ -66,7 +66,8 @@ def test_the_error_that_a_refusal_calls_possible_is_possible(monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_scaled_starter_that_misses_the_wish_is_searched():
+def test_a_scaled_starter_that_misses_the_wish_is_searched(monkeypatch):
+    monkeypatch.setattr(wide_field, "FREE", wide_field.FREE[:1])
     found = design_for(WORDS | {"eta": -0.9, "error": "1.9 mrad"}, progress=silent)
     text = " ".join(found.forms)
     assert "scaled to the wish" in text
