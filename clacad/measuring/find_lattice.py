@@ -176,18 +176,23 @@ def _factor(across: float) -> str:
     return ""
 
 
+def means(u: Floats, v: Floats, z: Floats) -> tuple[Floats, Bools]:
+    """Mean (rows, columns) of heights over unit squares of places from 0 on, and where there are any; else 0."""
+    column, row = (np.floor(at + 1e-6).astype(np.int64) for at in (u, v))
+    shape = int(row.max()) + 1, int(column.max()) + 1
+    flat, most = row * shape[1] + column, shape[0] * shape[1]
+    count = np.bincount(flat, minlength=most)
+    mean = np.bincount(flat, z, minlength=most) / np.maximum(count, 1)
+    return mean.reshape(shape), (count > 0).reshape(shape)
+
+
 def _blocks(measured: MeasuredMap, size: float) -> _Blocks:
     """Means of the map over blocks of about `size`, about their plane, under a Hann window."""
     step = [max(1, int(size / pixel + 0.5)) * pixel for pixel in measured.pixel]
     x, y, z = measured.points
     low = [x.min(), y.min()]
-    column, row = (np.floor((at - low[k]) / step[k] + 1e-6).astype(np.int64) for k, at in enumerate((x, y)))
-    shape = (int(row.max()) + 1, int(column.max()) + 1)
-    flat = row * shape[1] + column
-    count = np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
-    total = np.bincount(flat, z, minlength=shape[0] * shape[1]).reshape(shape)
-    known = count > 0
-    mean = np.where(known, total / np.maximum(count, 1), 0.0)
+    mean, known = means((x - low[0]) / step[0], (y - low[1]) / step[1], z)
+    shape = mean.shape
     gx, gy = (low[k] + (np.arange(shape[1 - k]) + 0.5) * step[k] for k in (0, 1))
     ry, rx = np.nonzero(known)
     design = np.column_stack([np.ones(len(rx)), gx[rx], gy[ry]])

@@ -59,22 +59,18 @@ class Maps:
 
         named : Whether the sides of the files are known; else they follow from the curvature of the maps.
         """
-        paths = (self.front, self.back) if self.named else self._by_curvature(design)
-        given = list(paths)
-        first = 0 if paths[0] is not None else 1
-        path = paths[first]
+        given = [self.front, self.back] if self.named else [*self._by_curvature(design)]
+        first = 0 if given[0] is not None else 1
+        path = given[first]
         if self.cell is not None and path is not None and not isinstance(path, tuple):
             given[first] = path, self.cell
-        return measure(
-            design,
-            given[0],
-            given[1],
-            tilted=self.tilted,
-            z_scale=self.z_scale,
-            lateral_scale=self.lateral_scale,
-            unit=self.unit,
-            progress=progress,
-        )
+        return _measured(design, prescribe(design), replace(self, front=given[0], back=given[1]), progress)
+
+    @property
+    def scales(self) -> tuple[Scale, Scale]:
+        """Scale of heights and lateral scale. Raises BadRequest."""
+        heights = scale_of(self.z_scale, HEIGHTS, "z_scale")
+        return heights, scale_of(self.lateral_scale, LATERAL, "lateral_scale")
 
     def _by_curvature(self, design: Design) -> tuple[Given | None, Given | None]:
         """The files, exchanged where their radii are nearer to those of the other sides of the design."""
@@ -82,10 +78,7 @@ class Maps:
         apart = abs(log(sides["front"].lenslet[3] / sides["back"].lenslet[3]))
         if apart < APART:
             return self.front, self.back
-        heights, lateral = (
-            scale_of(self.z_scale, HEIGHTS, "z_scale"),
-            scale_of(self.lateral_scale, LATERAL, "lateral_scale"),
-        )
+        heights, lateral = self.scales
         kept: list[float] = []
         swapped: list[float] = []
         read: list[Given | None] = [self.front, self.back]
@@ -250,10 +243,7 @@ def fitted_sides(
     if not maps:
         raise BadRequest("no map to measure: give front, back or both")
     told = shown_progress(progress)
-    heights, lateral = (
-        scale_of(of.z_scale, HEIGHTS, "z_scale"),
-        scale_of(of.lateral_scale, LATERAL, "lateral_scale"),
-    )
+    heights, lateral = of.scales
     sides = sides_of(window, 1e-3 / design.unit_m)
     read: dict[Name, MeasuredMap] = {}
     for name, one in maps.items():

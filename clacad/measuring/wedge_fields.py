@@ -16,7 +16,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.formats.maps.dose import Coupon
-from clacad.measuring.find_lattice import NotMeasurable
+from clacad.measuring.find_lattice import NotMeasurable, means
 from clacad.measuring.read_map import MeasuredMap, read_map
 
 INNER, RING, BLOCK = 0.6, 0.25, 0.1
@@ -182,7 +182,7 @@ def _placed(name: str, coupon: Coupon, x: Floats, y: Floats, z: Floats) -> tuple
         for turn in [k * 0.5 * np.pi + small for k in range(4) for small in TURNS]:
             u, v = _moved(mirror * x, y, turn, np.zeros(2))
             low = np.array([u.min(), v.min()])
-            score, at = _best_shift(_binned(u - low[0], v - low[1], -z, pixel), wanted)
+            score, at = _best_shift(means((u - low[0]) / pixel, (v - low[1]) / pixel, -z)[0], wanted)
             if score > best[0]:
                 best = (score, turn, low + at * pixel - np.array([x0, y0]), mirror)
     if best[3] < 0.0:
@@ -190,16 +190,6 @@ def _placed(name: str, coupon: Coupon, x: Floats, y: Floats, z: Floats) -> tuple
             f"{name}: the map is a mirror image of the coupon; mirror it back before calibrating"
         )
     return best[1], best[2]
-
-
-def _binned(u: Floats, v: Floats, depth: Floats, pixel: float) -> Floats:
-    """Mean depth over squares (rows, columns), rows upwards; 0 where nothing was measured."""
-    column, row = (u / pixel).astype(np.int64), (v / pixel).astype(np.int64)
-    shape = (int(row.max()) + 1, int(column.max()) + 1)
-    flat = row * shape[1] + column
-    count = np.bincount(flat, minlength=shape[0] * shape[1])
-    total = np.bincount(flat, weights=depth, minlength=shape[0] * shape[1])
-    return np.asarray((total / np.maximum(count, 1)).reshape(shape))
 
 
 def _best_shift(found: Floats, wanted: Floats) -> tuple[float, Floats]:
@@ -285,8 +275,8 @@ def _without_outliers(z: Floats, of: Bools) -> Bools:
 
 def _blocks(coupon: Coupon, u: Floats, v: Floats, z: Floats, of: Bools) -> Floats:
     """Mean heights of the blocks of some points."""
-    size = BLOCK * coupon.side
-    column, row = (np.floor(at[of] / size).astype(np.int64) for at in (u, v))
-    _, flat = np.unique(np.stack([column, row]), axis=1, return_inverse=True)
-    flat = flat.ravel()
-    return np.asarray(np.bincount(flat, weights=z[of]) / np.maximum(np.bincount(flat), 1))
+    if not of.any():
+        return z[of]
+    column, row = (at[of] / (BLOCK * coupon.side) for at in (u, v))
+    mean, known = means(column - np.floor(column.min()), row - np.floor(row.min()), z[of])
+    return np.asarray(mean[known])

@@ -319,3 +319,20 @@ def test_light_through_the_samples_is_that_of_their_true_form():
     assert "astigmatic" in next(check.sentence for check in wrong.checks if check.id == "scan_radius")
     found = measure(WINDOW, SAMPLES / "front.x3p", tilted=SAMPLES / "front-tilted.x3p")
     assert found.z_scale.value == pytest.approx(1.0063, abs=4e-4)
+
+
+@pytest.mark.slow
+def test_an_sdf_file_has_the_heights_that_another_library_reads():
+    peer = pytest.importorskip("SurfaceTopography")
+    pytest.importorskip("sdfio")
+    other = peer.open_topography(str(SAMPLES / "wrong-insert.sdf")).topography()
+    heights = (
+        np.ma.filled(other.heights(), np.nan).T * {"nm": 1e-9, "µm": 1e-6, "mm": 1e-3, "m": 1.0}[other.unit]
+    )
+    map_ = read_map(SAMPLES / "wrong-insert.sdf")
+    column, row = (
+        np.rint(map_.points[k] / map_.pixel[k] + 0.5 * map_.shape[1 - k]).astype(int) for k in (0, 1)
+    )
+    mine = np.full(map_.shape, np.nan)
+    mine[row, column] = map_.points[2]
+    np.testing.assert_allclose(mine, heights, atol=1e-15)
