@@ -309,6 +309,44 @@ def corrected(folder: Path) -> None:
     (folder / "corrected.md").write_text(_table(head, rows, texts=2), encoding="utf-8")
 
 
+def cloak_members(folder: Path) -> None:
+    """Members of the family of cloaks through their exact faces: share of the light, shift of the background, blur."""
+    import clacad as package
+    from clacad.advice.stack_designs import corrected as by_exact_faces
+    from clacad.advice.stack_designs import designs_of, placed, wanted_of
+    from clacad.advice.stack_wish import StackWish
+    from clacad.advice.wanted_stack import stack_of_three
+
+    sys.path.insert(0, str(ROOT / "tests"))
+    from scene.background import shift_and_blur
+
+    keys = {
+        "pair.separation": 5.0,
+        "pair.material": "EpoCore",
+        "pair.surface": "biconic",
+        "pair.field_lens": True,
+    }
+    own = [("biconvex", -2.5, [0.15, 0.28]), ("biconvex", -4.4, [0.15, 0.46]), ("plano", -0.7, [0.12, 0.12])]
+    window = package.load(ROOT / "designs" / "window-100mm.toml")
+    bases = [
+        window.replace({**keys, "pair.form": form, "pair.conic": [conic] * 2, "pair.thickness": thickness})
+        for form, conic, thickness in own
+    ]
+    rows = []
+    for etas in ((-1.0, -1.043), (-1.08, -0.985), (-1.08, -1.0), (-1.2, -0.94)):
+        wish = StackWish("cloak", 1.0, 14.5, (0.0, 0.0), etas)
+        wanted = wanted_of(bases[0], wish, (485 / 3, 970 / 3), 50.0, float(np.radians(1.0)))
+        solved = by_exact_faces(bases, wanted, stack_of_three(wanted, *etas))
+        share, shift, blur = shift_and_blur(
+            placed(designs_of(bases, wanted, solved), solved.gaps, exact=True)
+        )
+        rows.append(
+            [f"{etas[0]:g}, {etas[1]:g}", f"{share:.2f}", f"{np.abs(shift).max():.2f}", f"{blur:.2f}"]
+        )
+    head = ["η of sheets a and b", "share, exact faces", "greatest shift / mm", "blur rms / mm"]
+    (folder / "cloak-members.md").write_text(_table(head, rows), encoding="utf-8")
+
+
 def stack_share(folder: Path) -> None:
     """Share of the light against |eta| and field: closed form as lines, rays through thin lenses as dots."""
     from matplotlib import pyplot
@@ -457,5 +495,5 @@ CLOAK = (-1.2, -0.94)
 FIGURES: Mapping[str, Callable[[Path], None]] = {
     "accuracy": accuracy, "stability": stability, "effects": effects, "daylight": daylight, "cloak": cloak,
     "corrected": corrected, "delivery": delivery,
-    "stack_share": stack_share, "cloak_family": cloak_family,
+    "stack_share": stack_share, "cloak_family": cloak_family, "cloak_members": cloak_members,
 }  # fmt: skip

@@ -27,7 +27,7 @@ from clacad.design.body import Outline
 from clacad.design.sections import ROOT, SECTIONS
 
 FEW = 2
-"""Largest number of wishes, and of failing checks, that are told in full."""
+"""Largest number of wishes, and of failing checks, that are printed in full."""
 
 NEAR = 1e-3
 """Largest difference of a wished side, in pitches, of which nothing is said."""

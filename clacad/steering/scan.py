@@ -422,8 +422,8 @@ def steer(
     if len(steered.lit) < 2:
         most = max(window.lattice.pitch) / 2.0
         raise CannotMove(
-            f"travel {scan.travel:g} {design.unit}: light leaves through its own lenses at fewer than two positions;"
-            f" try {most:g} {design.unit}, half a pitch"
+            f"travel {scan.travel:g} {design.unit}: light leaves through its own lenses at fewer than two"
+            f" positions; try {most:g} {design.unit}, half a pitch"
         )
     return steered
 

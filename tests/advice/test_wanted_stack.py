@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from mpmath import matrix, mp, mpf
 
+import clacad
 from clacad.advice.stack_designs import wanted_matrix
 from clacad.advice.wanted_stack import (
     NoSuchStack,
@@ -24,6 +25,7 @@ from clacad.advice.wanted_stack import (
     stack_of_three,
 )
 from clacad.cli import main
+from clacad.prescription.bodies import face_spec, given_design
 from clacad.rendering.sheet_passage import stack_of
 from clacad.scene import load_scene
 from clacad.stacking import chief_matrices
@@ -264,6 +266,30 @@ def test_the_command_gives_the_numbers_as_json(capsys):
     assert degrees(found["sheets"]["3"]["field"]) > 1.0
     assert 0.0 < found["sheets"]["3"]["by_rays"] < 1.0
     assert {"impossible"} <= found["sheets"]["2"].keys() or found["sheets"]["2"]["share"] > 0
+
+
+def test_listed_plates_are_refused_with_the_forms_that_can_be_solved(tmp_path, capsys):
+    """Faces that a file lists do not follow from eta; no scene is written."""
+    source = clacad.load(FILE, ["lattice.count = [8, 8]"])
+    window = clacad.prescribe(source)
+    plates = given_design(source, window, tuple(face_spec(face.surface) for face in window.faces), None)
+    given = tmp_path / "listed.toml"
+    given.write_text(plates.toml, encoding="utf-8")
+    out = tmp_path / "scene.toml"
+    asked = [
+        "stack",
+        str(given),
+        "--gap",
+        "161.6667,323.3333",
+        "--zone",
+        "50 mm",
+        "--for",
+        "cloak,ring=15 mm",
+    ]
+    assert main([*asked, "-o", str(out)]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "form slab, plano or biconvex, no listed faces" in said
+    assert not out.exists()
 
 
 @pytest.mark.parametrize(

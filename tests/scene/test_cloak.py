@@ -8,17 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from povpictures import needs_povray, povray
+from scene.background import shift_and_blur
 
 import clacad
-from clacad.base.sobol import sobol
 from clacad.cli import main
 from clacad.exporting.pov.pov_scene import SCALE, pov_lines
-from clacad.optics.rays import Fate
 from clacad.rendering.picture import view_through
 from clacad.rendering.sheet_passage import stack_of
 from clacad.scene import Scene, load_scene
 from clacad.sheet.stack import stacked
-from clacad.tracing.through_stack import StackTracer, started
 
 FILE = Path(__file__).parents[2] / "designs" / "scenes" / "cloak.toml"
 
@@ -54,29 +52,8 @@ def test_the_ring_is_seen_without_the_sheets_and_hidden_by_them():
 
 @pytest.mark.slow
 def test_the_background_is_shifted_by_less_than_half_a_millimetre_and_blurred_by_one():
-    """Rays through the exact faces, against straight ones: where they meet a wall 1 m behind the cloak.
-
-    Places over the first sheet and slopes within 1 degree, both in bins: the mean of a bin is its shift.
-    """
-    stack, field, reach = stack_of(load_scene(FILE)), np.tan(np.radians(1.0)), 24.9
-    points = 2.0 * sobol(1 << 16, 4) - 1.0
-    place, slope = reach * points[:, :2], field * points[:, 2:]
-    found = StackTracer(stack, "surfaces", path="size")(started(stack, place, slope))
-    alive = found.fate == Fate.ALIVE
-    first, wall = stack.sheets[0].lens_planes[0], stack.sheets[-1].lens_planes[1] + 1000.0
-    way = found.direction[alive, :2] / found.direction[alive, 2:]
-    meets = found.position[alive, :2] + way * (wall - found.position[alive, 2:])
-    off = (meets - place[alive] - slope[alive] * (wall - first)).T.ravel()
-    columns = [
-        np.clip((6 * (1.0 + part[alive].T.ravel())).astype(int), 0, 11)
-        for part in (points[:, :2], points[:, 2:])
-    ]
-    bins = 12 * columns[0] + columns[1]
-    count = np.bincount(bins, minlength=144)
-    assert count.min() > 200
-    shift = np.bincount(bins, off, 144) / count
-    blur = np.sqrt(np.mean((off - shift[bins]) ** 2))
-    assert alive.mean() == pytest.approx(0.639, abs=0.01)
+    share, shift, blur = shift_and_blur(stack_of(load_scene(FILE)))
+    assert share == pytest.approx(0.639, abs=0.01)
     assert np.abs(shift).max() <= 0.5
     assert np.sqrt(np.mean(shift**2)) <= 0.2
     assert blur == pytest.approx(1.135, abs=0.03)

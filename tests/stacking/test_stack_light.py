@@ -138,6 +138,47 @@ def test_ten_stacks_have_the_matrices_worked_out_by_pencil(case):
     np.testing.assert_allclose(found.shift, shift, atol=1e-14)
 
 
+@pytest.mark.parametrize("case", PENCIL.values(), ids=PENCIL)
+def test_rays_through_ideal_cells_keep_to_the_ten_matrices_within_their_blur(case):
+    """Two thin lenses in every cell of .01, f1 + f2 = s, the second displaced by (delta + kappa c) f1.
+
+    A ray at a from the middle c of its cell leaves as the chief ray of c does, moved by a (eta - 1); so it is
+    off the matrix by that and by kappa a/eta in slope, which later sheets and gaps carry on.
+    """
+    sheets, gaps, (a, b, c, d), shift = case
+    pitch, few = 0.01, 20000
+    rng = np.random.default_rng(5)
+    first = np.stack([rng.uniform(-3.0, 3.0, few), rng.uniform(-0.02, 0.02, few)])
+    x, t, room = first[0].copy(), first[1].copy(), np.zeros(2)
+    for (eta, s, kappa, delta), gap in zip(sheets, [*gaps, 0.0], strict=True):
+        middle = pitch * np.rint(x / pitch)
+        offset = delta + kappa * middle
+        if s:
+            f1 = s / (1.0 - eta)
+            inside = t - (x - middle) / f1
+            x = x + s * inside
+            t = inside - (x - middle - offset * f1) / (-eta * f1)
+        else:  # lenses of no length: their law alone
+            x, t = x + (eta - 1.0) * (x - middle), (t - offset) / eta
+        blur = 0.5 * pitch * np.array([abs(1.0 - eta), abs(kappa / eta)])
+        room = np.abs([[1.0, s], [-kappa / eta, 1.0 / eta]]) @ room + blur
+        x, room = x + gap * t, np.array([[1.0, gap], [0.0, 1.0]]) @ room
+    made = [chief_matrices.sheet(eta, s, delta, kappa) for eta, s, kappa, delta in sheets]
+    row = [made[0]]
+    for gap, one in zip(gaps, made[1:], strict=True):
+        row += [chief_matrices.space(gap), one]
+    found = chief_matrices.in_a_row(row)
+    off = np.stack([x, t]) - found.matrix @ first - np.array(found.shift)[:, None]
+    assert (np.abs(off) <= room[:, None] + 1e-12).all()
+    assert np.abs(off[0]).max() > 0.2 * room[0]  # and the blur is of that size
+    assert np.abs(off.mean(axis=1)) == pytest.approx(0.0, abs=0.05 * room.max())
+    fitted = np.linalg.lstsq(np.vstack([first, np.ones(few)]).T, np.stack([x, t]).T, rcond=None)[0].T
+    np.testing.assert_allclose(
+        fitted[:, :2], [[a, b], [c, d]], rtol=0.03, atol=0.03 * max(map(abs, (a, b, c, d)))
+    )
+    np.testing.assert_allclose(fitted[:, 2], shift, atol=0.05 * room.max())
+
+
 def test_an_imaging_pair_with_kappa_images_by_pencil():
     """100 before (-1, -90; .036, 2.6): B is -190, D is 6.2, so the image is 950/31 behind, 16/155 as large."""
     one = chief_matrices.sheet(-1.0, 10.0, kappa=-0.02)
