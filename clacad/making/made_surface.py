@@ -43,6 +43,9 @@ SEAM_SIGMAS = 4.0
 ON_SEAM = 65
 """Positions of the tool along a seam between faces that are not spheres."""
 
+NODES = 17
+"""Places along each side of the box around a cell at which a face is fitted."""
+
 
 @dataclass(frozen=True, eq=False)
 class Lenslet:
@@ -73,6 +76,16 @@ class Lenslet:
             low, high = sorted(float(normal[0] * c[1] - normal[1] * c[0]) for c in (start, end))
             found.append((normal, float(normal @ start), low, high))
         return found
+
+    @cached_property
+    def grid(self) -> tuple[Floats, Floats]:
+        """Evenly spread places (n,) of the cell."""
+        reach = np.abs(self.tile).max(axis=0)
+        x, y = (one.ravel() for one in np.meshgrid(*(np.linspace(-r, r, NODES) for r in reach)))
+        held = np.ones(len(x), dtype=bool)
+        for normal, width, *_ in self.sides:
+            held &= normal[0] * x + normal[1] * y <= width * (1.0 + 1e-12)
+        return x[held], y[held]
 
     @cached_property
     def span(self) -> tuple[float, float]:
