@@ -259,8 +259,7 @@ CANNOT_SAY = "cannot_say"
 
 SCAN_PITCH = CheckKind("scan_pitch", "CL381", "relative", where="file", rule="fixed: 0.005").explained(
     means="Pitch of the measured lenslets against the design's. Pitch and lateral scale of an instrument are"
-    " one"
-    " number: a part that shrank and a wrong scale look alike.",
+    " one number: a part that shrank and a wrong scale look alike.",
     why="Arrays of different pitch are displaced against each other towards the rim of the sheet.",
     formula="max |p/p₀ − 1| over both steps of the lattice; its uncertainty is that of the lateral scale",
     do="State the lateral scale (--lateral-scale). A part that shrank: allow for it in the tool.",
@@ -268,21 +267,17 @@ SCAN_PITCH = CheckKind("scan_pitch", "CL381", "relative", where="file", rule="fi
 
 SCAN_RADIUS = CheckKind("scan_radius", "CL382", "relative", where="file", limit="law_rms").explained(
     means="Mean radius of the measured lenslets against the design's; a warning beyond the error that alone"
-    " would use"
-    " up the limit of law_rms. Light decides: see scan_light.",
+    " would use up the limit of law_rms. Light decides: see scan_light.",
     why="The radius sets the focus. A map fixes only the radius over the scale of heights.",
     formula="|R/R₀ − 1| ≤ law_rms f/r, r the rms distance from the middle of a cell",
     do="State the scale of heights (--z-scale), or find it by a tilted map (--tilted). Another radius:"
-    " another"
-    " insert or tool, or shrinkage in height.",
+    " another insert or tool, or shrinkage in height.",
 )
 
 SCAN_FORM = CheckKind("scan_form", "CL383", where="file", rule="a quarter of the wavelength").explained(
     means="Rms of the form of the measured lenslets against the design's, in wavefront, without height, tilt"
-    " and"
-    " defocus; a warning beyond a quarter of the wavelength. It fails where the texture is too"
-    " rough for light to"
-    " stay undisturbed.",
+    " and defocus; a warning beyond a quarter of the wavelength. It fails where the texture is too rough for"
+    " light to stay undisturbed.",
     why="Form bends rays; texture scatters a share of the light.",
     formula="(n − 1) rms of the form; texture: phase 2π(n − 1) Sq/λ ≤ 1 rad, share kept exp(−phase²)",
     do="Look at the deviation map. Texture: finish the tool.",
@@ -290,14 +285,12 @@ SCAN_FORM = CheckKind("scan_form", "CL383", where="file", rule="a quarter of the
 
 SCAN_LIGHT = CheckKind("scan_light", "CL384", "rad", where="file", limit="law_rms").explained(
     means="Direction error of light through the measured form, clear of seams. Sides that were not measured,"
-    " and"
-    " thickness, are as designed.",
+    " and thickness, are as designed.",
     why="The law is what the sheet is for: the form of the lenslets decides whether it is kept.",
     formula="rms ∠(d', A d) over the cells measured, with the range that the uncertainties leave; limit"
     " law_rms",
     do="No answer: the sentence names the scale that would be needed. A failure: see scan_radius and the"
-    " numbers of"
-    " each lenslet.",
+    " numbers of each lenslet.",
 )
 
 SCAN_SEAM = CheckKind("scan_seam", "CL385", "of the light", where="file").explained(

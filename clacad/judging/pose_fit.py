@@ -13,6 +13,7 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.exporting.formats.registry import kind_of
+from clacad.exporting.roles import Role
 from clacad.formats.mesh.file_mesh import FileMesh
 from clacad.judging.cell_triangles import levels
 from clacad.judging.delivery import Subject
@@ -256,9 +257,10 @@ def no_match(design: Design, whole: Window, subject: Subject, mesh: FileMesh, ex
             " way it is turned"
         )
     tried = ", ".join(name for name, _ in FACTORS)
+    hint = "; a surface of one side is read as a map: state its unit, such as --unit mm"
     return (
         f"{subject.name} measures {size} and the design {want} mm; in none of the units {tried}, turned any"
-        " way, are they the same part or a piece of it"
+        f" way, are they the same part or a piece of it{hint if subject.role is Role.SCAN else ''}"
     )
 
 

@@ -122,9 +122,8 @@ def find_lattice(
     phase = shown[:, 0] / np.abs(shown[:, 0])
     if not (shown[:, 1] * np.conj(phase) ** 2).real.sum() > 0.0:
         raise NotMeasurable(
-            f"{measured.name}: domes where the design has bowls, or bowls for domes: its z axis"
-            f" points into the"
-            " material, or it is a map of the tool"
+            f"{measured.name}: domes where the design has bowls, or bowls for domes: its z axis points into"
+            " the material, or it is a map of the tool"
         )
     origin = basis @ (np.angle(phase) / (-2.0 * pi))
     nearest = np.rint(np.linalg.inv(basis) @ origin)
@@ -158,9 +157,8 @@ def _refuse_coarse(measured: MeasuredMap, design: Pattern) -> None:
     if size < FEWEST_CELLS * side:
         none = "no whole lenslet" if size < side else "too few lenslets"
         raise NotMeasurable(
-            f"{measured.name}: {none}: the map is {size:.4g} wide, a cell {side:.4g};"
-            f" {FEWEST_CELLS:g} cells are the"
-            f" least{_factor(across)}"
+            f"{measured.name}: {none}: the map is {size:.4g} wide, a cell {side:.4g}; {FEWEST_CELLS:g} cells"
+            f" are the least{_factor(across)}"
         )
 
 
@@ -275,7 +273,6 @@ def _refuse_period(measured: MeasuredMap, basis: Floats, design: Pattern) -> Non
         worst = int(np.argmax(np.abs(off)))
         raise NotMeasurable(
             f"{measured.name}: lenslets every {got[0]:.5g} and {got[1]:.5g}, by the design every"
-            f" {wanted[0]:.5g} and"
-            f" {wanted[1]:.5g}: {100.0 * off[worst]:+.3g} %, and {100.0 * OFF:g} % is the most:"
-            f" another part, another lateral scale, or pieces that are bonded with a gap"
+            f" {wanted[0]:.5g} and {wanted[1]:.5g}: {100.0 * off[worst]:+.3g} %, and {100.0 * OFF:g} % is the"
+            " most: another part, another lateral scale, or pieces that are bonded with a gap"
         )

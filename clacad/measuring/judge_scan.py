@@ -78,10 +78,8 @@ def _light(of: Scanned) -> Check:
         return SCAN_LIGHT.not_run("too little light gets through the measured form", unit="rad", where="file")
     text = (
         f"through the measured form light leaves {mrad_text(light.rms, 3)} rms from the law in"
-        f" {len(light.cells)}"
-        f" cells, between {mrad_text(light.low, 3, unit='')} and {mrad_text(light.high, 3)} by the"
-        f" scales; bodies as"
-        " designed"
+        f" {len(light.cells)} cells, between {mrad_text(light.low, 3, unit='')} and"
+        f" {mrad_text(light.high, 3)} by the scales; bodies as designed"
     )
     both = [name for name in ("front", "back") if name not in of.sides]
     text += f", and the {both[0]}" if both else ""
@@ -99,9 +97,8 @@ def _needed(of: Scanned, limit: float) -> str:
     known = next(iter(of.sides.values())).lit.u_scale
     if known and 1e-5 < half < known:
         return (
-            f"the scale of heights over the radius is known to {percent_text(known, 2)}, {half:.1g}"
-            f" would be needed"
-            " (--z-scale, --tilted)"
+            f"the scale of heights over the radius is known to {percent_text(known, 2)}, {half:.1g} would be"
+            " needed (--z-scale, --tilted)"
         )
     return "the noise of the map leaves it open: measure more cells, or with less noise"
 
@@ -120,8 +117,7 @@ def _seam(of: Scanned) -> Check:
     value = light.seam / whole if whole > 0.0 else nan
     text = (
         f"{percent_text(value)} of the light met a seam or a place without points;"
-        f" {percent_text(light.formed)} of all"
-        " light passes clear of them"
+        f" {percent_text(light.formed)} of all light passes clear of them"
     )
     return SCAN_SEAM.judge(value, limit, text)
 
@@ -246,8 +242,7 @@ def _form(of: Scanned, name: Name, one: Surface) -> Check:
     phase = 2.0 * pi * (body.index - 1.0) * one.texture * unit / of.wavelength
     text = (
         f"{name}: the form leaves {1e9 * unit * rms:.3g} nm rms of wavefront; texture Sq"
-        f" {1e9 * unit * one.texture:.3g} nm,"
-        f" phase {phase:.2g} rad"
+        f" {1e9 * unit * one.texture:.3g} nm, phase {phase:.2g} rad"
     )
     if phase > PHASE:
         text += f": above {PHASE:g} rad the share of undisturbed light is not known"

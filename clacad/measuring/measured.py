@@ -83,9 +83,8 @@ class Measured(Tabular):
         """The verdict in a sentence."""
         light = self.light
         said = (
-            f"{self.verdict}: light through the measured form leaves {mrad_text(light.rms, 3)} rms"
-            f" from the law"
-            f" (between {mrad_text(light.low, 3, unit='')} and {mrad_text(light.high, 3)})"
+            f"{self.verdict}: light through the measured form leaves {mrad_text(light.rms, 3)} rms from the"
+            f" law (between {mrad_text(light.low, 3, unit='')} and {mrad_text(light.high, 3)})"
         )
         doubt = [one.detail[CANNOT_SAY] for one in self.checks if CANNOT_SAY in one.detail]
         return f"{said}; {doubt[0]}" if doubt and self.verdict == "cannot say" else said

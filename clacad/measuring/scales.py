@@ -82,9 +82,8 @@ def scale_by_tilt(level: Lenslets, tilted: Lenslets, before: Scale) -> Scale:
     between = np.arccos(np.clip(level.level[2] @ tilted.level[2], -1.0, 1.0))
     if between < LEAST_TILT:
         raise NotMeasurable(
-            f"the second map is tilted by {degrees(between):.2g} deg against the first: for the"
-            f" scale of heights about"
-            f" 8 deg are needed, {degrees(LEAST_TILT):.2g} deg at least"
+            f"the second map is tilted by {degrees(between):.2g} deg against the first: for the scale of"
+            f" heights about 8 deg are needed, {degrees(LEAST_TILT):.2g} deg at least"
         )
     pairs = _common(level, tilted)
     index = level.index[pairs[:, 0]]

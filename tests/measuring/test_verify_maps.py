@@ -263,3 +263,17 @@ def test_the_design_alone_has_the_table_of_a_measured_part(capsys):
         assert float(rows[f"{side}: focal length, as derived"]["design"]) == pytest.approx(f, rel=1e-4)
     assert main(["check", DESIGN, "--all", "--set", "lattice.count=[8,8]"]) in (0, 1)
     assert "in the terms of ISO 14880" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_mesh_of_a_coupon_of_one_side_names_what_it_needs(tmp_path, capsys):
+    mesh = tessellate(prescribe(load(DESIGN).with_cells((4, 4))), quads=16)
+    corners = np.asarray(mesh.vertices)[np.asarray(mesh.triangles)]
+    up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    write_stl(tmp_path / "coupon.stl", corners[(up < 0.0) & (corners[..., 2].max(axis=1) < 1.0)])
+    words = ["verify", DESIGN, "--rays", "1024", "--role", "scan", "--files", str(tmp_path / "coupon.stl")]
+    assert main(words) == 2
+    assert "--unit mm" in capsys.readouterr().err
+    status, found = verified(capsys, *words[6:], "--unit", "mm", "--z-scale", "1")
+    assert (status, found["word"]) == (0, "passed as scan")
+    assert found["measured"]["sides"]["front"]["radius"] == pytest.approx(SPHERE, rel=2e-4)
