@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -35,14 +34,6 @@ class Requested(Protocol):
     @property
     def lattice(self) -> LatticeSpec:
         """Section [lattice]."""
-
-    @property
-    def given(self) -> Mapping[str, Any]:
-        """Keys as written."""
-
-    @property
-    def source(self) -> str | None:
-        """Text of the file, None without one."""
 
     @property
     def path(self) -> str:

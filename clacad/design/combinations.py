@@ -156,9 +156,6 @@ SHEETS: Final[Mapping[str, Callable[[Ask], bool]]] = {
     FOCUS: _focused,
 }
 """Kind of non-uniform sheet, named by the key that requests it → whether a design requests it."""
-ETAS: Final = "eta in law.varying.table"
-"""Kind of `law.varying` that is known only after reading its table."""
-
 _GROWTH: Final = "both state how delta grows over the sheet"
 _PLACES: Final = "both state where the cells of array 2 lie"
 
@@ -181,14 +178,13 @@ _FEATURES_OF: Final[Mapping[str, tuple[str, ...]]] = {
     PITCH_2: ("other pitch",),
     ROTATION_2: ("turned array",),
     FOCUS: ("sharp pairs",),
-    ETAS: ("law that varies", ETAS),
 }
 REASONS: Final[Mapping[tuple[str, str], str]] = {
     (sheet, other): why
     for sheet, own in _FEATURES_OF.items()
     for one, two, why in _TWICE
     for name, other in ((one, two), (two, one))
-    if name in own and other != ETAS
+    if name in own
 }
 """Sheet and feature → reason why they cannot be combined; combinations not listed are built."""
 
@@ -196,7 +192,6 @@ REASONS: Final[Mapping[tuple[str, str], str]] = {
 BUILT: Final = "built"
 """Entry of the matrix for a combination that is built."""
 ITSELF: Final = "itself"
-_PART_OF: Final = {ETAS: VARYING}
 
 
 def built_sheets(a: Ask) -> list[str]:
@@ -211,9 +206,8 @@ def why_not(sheet: str, feature: str) -> str:
 
 def matrix() -> list[list[str]]:
     """Rows of the combination table: a head, then one row for each feature."""
-    kinds = [*SHEETS, ETAS]
     rows = (
-        [f.name, *(ITSELF if f.key in (s, _PART_OF.get(s)) else why_not(s, f.name) or BUILT for s in kinds)]
+        [f.name, *(ITSELF if f.key == sheet else why_not(sheet, f.name) or BUILT for sheet in SHEETS)]
         for f in FEATURES
     )
-    return [["", *kinds], *rows]
+    return [["", *SHEETS], *rows]

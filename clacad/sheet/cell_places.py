@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from clacad.base.pairs import Pair, pair, pair_sum, two_product
 from clacad.base.types import Floats, Ints, Pair2
-from clacad.optics.law.focusing import Gradient, VaryingLaw, ratios_of, refract_each, with_ratios
+from clacad.optics.law.focusing import Gradient, VaryingLaw, ratios_of, refract_each
 from clacad.sheet.pattern import cosine_and_sine, turned, turned_pairs
 
 if TYPE_CHECKING:
@@ -290,12 +290,13 @@ class VertexChange:
 
         Raises ValueError: The table has fewer cells.
         """
-        cut: dict[str, Any] = {
-            name: of_middle(whole, count, lattice)
-            for name in ("table", "size", "lift", "aspect")
-            if (whole := getattr(self, name)) is not None
-        }
-        return replace(self, **cut)
+        return replace(self, **_cut_tables(self, lattice, count))
+
+
+def _cut_tables(of: VertexChange | CellLaws, lattice: Lattice, count: tuple[int, int]) -> dict[str, Any]:
+    """The tables of cells by their names, cut to `count` cells in the centre of the lattice."""
+    tables = {name: one for name, one in vars(of).items() if isinstance(one, np.ndarray)}
+    return {name: of_middle(table, count, lattice) for name, table in tables.items()}
 
 
 def linear_change(gradient: Floats, climb: Floats) -> VertexChange | None:
@@ -439,10 +440,8 @@ class CellLaws:
         if cell.shape != (2,) or not lattice.contains(cell):
             raise IndexError(f"the sheet has no cell {np.asarray(index).tolist()}")
         delta_x, delta_y = self.deltas(lattice, cell).tolist()
-        law = replace(self.law, delta_x=delta_x, delta_y=delta_y)
-        if self.ratios is None:
-            return law
-        return with_ratios(law, self.ratios_of(lattice, cell))
+        eta_x, eta_y = self.ratios_of(lattice, cell).tolist()
+        return replace(self.law, delta_x=delta_x, delta_y=delta_y, eta_x=eta_x, eta_y=eta_y)
 
     def refract(self, lattice: Lattice, index: Ints, d: Floats) -> Floats:
         """Exit directions (n, 3) of light with directions `d` (n, 3) through the cells `index` (n, 2)."""
@@ -451,7 +450,4 @@ class CellLaws:
 
     def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> CellLaws:
         """Laws of `count` cells in the centre of their lattice; tables are cut."""
-        table, ratios = (
-            None if whole is None else of_middle(whole, count, lattice) for whole in (self.table, self.ratios)
-        )
-        return replace(self, table=table, ratios=ratios)
+        return replace(self, **_cut_tables(self, lattice, count))

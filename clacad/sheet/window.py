@@ -480,24 +480,17 @@ class Window(PlacedArrays):
             A table has fewer cells.
         """
 
-        def fewer(face: Face) -> Face:
-            change = face.change
-            return face if change is None else replace(face, change=change.of_middle(self.lattice, count))
+        def cut(change: VertexChange | None) -> VertexChange | None:
+            return None if change is None else change.of_middle(self.lattice, count)
 
         small = replace(
             self,
             lattice=self.lattice.with_count(count),
-            bodies=changed_faces(self.bodies, fewer),
+            bodies=changed_faces(self.bodies, lambda face: replace(face, change=cut(face.change))),
         )
-        first, second = (
-            None if one is None else one.of_middle(self.lattice, count)
-            for one in (self.thin.change_1, self.thin.change)
-        )
-        fields = tuple(
-            replace(one, change=None if one.change is None else one.change.of_middle(self.lattice, count))
-            for one in self.thin.field
-        )
+        first, second = cut(self.thin.change_1), cut(self.thin.change)
         if first is not None or second is not None:
+            fields = tuple(replace(one, change=cut(one.change)) for one in self.thin.field)
             small = replace(small, thin=replace(self.thin, change_1=first, change=second, field=fields))
         if self.cell_laws is not None:
             small = replace(small, cell_laws=self.cell_laws.of_middle(self.lattice, count))

@@ -15,7 +15,7 @@ from sheet.test_cells_of_own_eta import design as tabled
 from sheet.test_varying_sheets import ITS_OWN, PRESENT, SHEET, design
 
 import clacad
-from clacad.design.combinations import ETAS, FEATURES, REASONS, SHEETS
+from clacad.design.combinations import FEATURES, REASONS, SHEETS
 from clacad.formats.step.step_files import write_step
 from clacad.optics.rays import Fate
 from clacad.optics.surface import Biconic, Quadric
@@ -23,13 +23,16 @@ from clacad.sheet.cell_places import VertexChange
 from clacad.sheet.face_order import refractions
 from clacad.sheet.vignetting import aperture_slopes
 
+ETAS = "eta in law.varying.table"
+"""A sheet of `law.varying` whose table has η."""
 OF_A_TABLE = (*ITS_OWN["law.varying"], "offset")
 """Features that a table of cells states itself."""
 PAIRS = [
     (sheet, feature.name)
     for sheet in (*SHEETS, ETAS)
     for feature in FEATURES
-    if (sheet, feature.name) not in REASONS and feature.name not in ITS_OWN.get(sheet, OF_A_TABLE)
+    if (sheet if sheet in SHEETS else "law.varying", feature.name) not in REASONS
+    and feature.name not in ITS_OWN.get(sheet, OF_A_TABLE)
 ]
 FILES = [
     pytest.param(*pair, marks=pytest.mark.long if k % 32 else pytest.mark.slow)

@@ -11,7 +11,7 @@ from scipy.integrate import dblquad
 
 import clacad
 from clacad.base.sobol import sobol
-from clacad.design.combinations import ETAS, FEATURES, REASONS
+from clacad.design.combinations import REASONS
 from clacad.mesh import check_closed, tessellate
 from clacad.mesh.body_mesh import facet_tags
 from clacad.mesh.cell_template import BACK, FRONT
@@ -550,22 +550,12 @@ PRESENT = {
     "biconvex of a thickness to be found": {"pair__form": "biconvex", "pair__surface": None},
     "field lens": {"pair__field_lens": True, "pair__surface": None, "pair__field": {"gap": 0.5}},
 }  # fmt: skip
-ELSEWHERE = {f.name for f in FEATURES} - set(PRESENT)
-"""Features that exclude a table of cells and are refused before it is read; law.delta and law.varying are its own."""
 
 
 @pytest.mark.parametrize("feature", PRESENT)
-def test_each_feature_beside_a_table_with_eta_works_or_is_refused_by_one_code(tmp_path, feature):
-    reason = REASONS.get((ETAS, feature))
+def test_each_feature_works_with_a_table_of_eta(tmp_path, feature):
+    assert ("law.varying", feature) not in REASONS
     made = design(tmp_path, spread(-0.9, -1.3), **PRESENT[feature])
-    if reason is not None:
-        with pytest.raises(clacad.DesignError) as caught:
-            clacad.prescribe(made)
-        (mistake,) = caught.value.mistakes
-        assert mistake.code == "CL125"
-        assert reason in mistake.message
-        assert mistake.line is not None
-        return
     window = clacad.prescribe(made)
     assert window.many_sizes
     slope = np.divide(window.thin.shift, window.thin.offset[2])
@@ -576,11 +566,6 @@ def test_each_feature_beside_a_table_with_eta_works_or_is_refused_by_one_code(tm
     for k in range(len(cells)):
         exact = window.law_at(seen.cell[k]).refract([*slope, 1.0])
         assert np.abs(seen.direction[k] - exact).max() < 1e-3
-
-
-def test_what_no_table_stands_beside_has_the_same_reason_with_eta():
-    for name in ELSEWHERE:
-        assert REASONS.get((ETAS, name)) == REASONS.get(("law.varying", name))
 
 
 def test_biconvex_neighbours_too_unlike_are_refused_by_their_names(tmp_path):

@@ -14,7 +14,7 @@ from oracle import varying as oracle
 
 import clacad
 from clacad.base.sobol import sobol
-from clacad.design.combinations import BUILT, ETAS, FEATURES, REASONS, SHEETS, matrix
+from clacad.design.combinations import BUILT, FEATURES, REASONS, SHEETS, matrix
 from clacad.imaging.image_by_rays import best_point
 from clacad.optics.law.focusing import Glens
 from clacad.optics.rays import Fate
@@ -347,10 +347,10 @@ def test_a_superlens_focuses_where_gabor_has_it_and_its_cells_share_one_law():
 
 def test_the_matrix_is_what_refuses():
     head, *rows = matrix()
-    assert head[1:] == [*SHEETS, ETAS]
+    assert head[1:] == [*SHEETS]
     for name, *cells in rows:
         for sheet, cell in zip(head[1:], cells):
-            itself = name in ITS_OWN[sheet if sheet in SHEETS else "law.varying"]
+            itself = name in ITS_OWN[sheet]
             assert cell == ("itself" if itself else REASONS.get((sheet, name), BUILT))
     assert {f.name for f in FEATURES} == set(PRESENT)
 

@@ -83,12 +83,6 @@ def ratios_of(law: Law) -> Pair2:
     return law.eta_x, law.eta_y
 
 
-def with_ratios(law: Law, ratios: Floats) -> Law:
-    """The law with another η (2,) along the lens axes."""
-    eta_x, eta_y = ratios.tolist()
-    return replace(law, eta_x=eta_x, eta_y=eta_y)
-
-
 def refract_each(law: Law, deltas: Floats, d: ArrayLike, ratios: Floats | None = None) -> Floats:
     """Directions (n, 3) behind a sheet with an offset (n, 2), and optionally an η (n, 2), for each of them.
 

@@ -14,7 +14,7 @@ from clacad.optics.sequence import to_sheet, to_surface
 from clacad.optics.surface import Quadric, Surface, gradient, meet_at, refract
 from clacad.sheet.cell_places import LensPlaces
 from clacad.sheet.plate_edges import nearest_edges
-from clacad.sheet.window import Face, heights_of_lenses
+from clacad.sheet.window import IDENTITY, Face, heights_of_lenses
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout
 
 
@@ -120,11 +120,7 @@ def height(face: FacePlan, local: Floats, places: LensPlaces) -> Floats:
     """Height (m,) of the lens over the body's level above points (m, 2) of the cell frame; NaN for none."""
     if face.array is None:
         return np.full(len(local), face.vertex[2])
-    lens = (
-        Face(face.surface, face.vertex)
-        if face.rotation is None
-        else Face(face.surface, face.vertex, face.rotation)
-    )
+    lens = Face(face.surface, face.vertex, IDENTITY if face.rotation is None else face.rotation)
     return heights_of_lenses(lens, places, local[:, 0], local[:, 1])
 
 
@@ -269,11 +265,7 @@ def lens_normals(face: FacePlan, local: Floats, z: Floats, places: LensPlaces) -
 
     places : Position of each point's lens, see `clacad.tracing.layout.lenses`.
     """
-    vx, vy, vz = places.apex
-    point = np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])
-    if places.size is not None:
-        point = point / places.size[:, None]
-    surface = places.shape(face.surface)
+    surface, point = places.shape(face.surface), _start(places, local, z)
     if face.rotation is None:
         return surface.normal(point[:, 0], point[:, 1])
     turned = point @ face.rotation
