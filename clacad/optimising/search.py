@@ -26,7 +26,7 @@ from clacad.optimising.scan_light import SCAN_POSITIONS, ScanLight
 from clacad.optimising.unknowns import ListedUnknowns, Unknowns, chosen, listed_unknowns, refused
 from clacad.prescription.face_list import as_listed
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.need_window import need_equal_cells
+from clacad.sheet.need_window import equal_cells
 from clacad.sheet.window import Window
 from clacad.steering.scan import Position, Scan, Steered, steer
 
@@ -258,7 +258,7 @@ def _set_up(
 ) -> tuple[Design, Window, Unknowns | ListedUnknowns, Aim]:
     """Design as searched, its window, the unknowns that words name and the objective."""
     design = as_listed(design)
-    window = need_equal_cells(prescribe(design), "a search for better faces", ALIKE)
+    window = equal_cells(prescribe(design), "a search for better faces", ALIKE)
     listed, words = window.form == "plates", tuple(free)
     unknowns = listed_unknowns(design, window, words) if listed else chosen(window, words)
     cone = field if isinstance(field, float) else design.check.field

@@ -25,20 +25,25 @@ class CellsDiffer(ValueError):
         return CellsDiffer, (self.what, self.instead)
 
 
-def need_equal_cells(window: Window, what: str, instead: str = "") -> Window:
-    """Return a window; refuse it where it is non-uniform.
+def need_equal_cells(window: Window, what: str, instead: str = "") -> None:
+    """Refuse a non-uniform window.
 
     Raises CellsDiffer: The window is non-uniform; the message names the requested function and what works.
     """
     if not window.uniform:
         raise CellsDiffer(what, instead)
-    return window
 
 
 def need_one_eta(window: Window, what: str, instead: str) -> None:
     """Refuse a window whose cells have their own η; raises `CellsDiffer`, as `need_equal_cells`."""
     if window.many_sizes:
         raise CellsDiffer(what, instead)
+
+
+def equal_cells(window: Window, what: str, instead: str = "") -> Window:
+    """Return the window; refuse it where it is non-uniform, see `need_equal_cells`."""
+    need_equal_cells(window, what, instead)
+    return window
 
 
 def need_window(value: object, verb: str, rest: str = "") -> None:

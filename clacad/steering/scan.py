@@ -29,7 +29,7 @@ from clacad.sheet.face_order import plates_of
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.like_cell import interfaces
 from clacad.sheet.moved_plates import CannotMove, moved_plates, paraxial_exit, tilted_plate
-from clacad.sheet.need_window import need_equal_cells
+from clacad.sheet.need_window import equal_cells
 from clacad.sheet.vignetting import LEAST_SHARE
 from clacad.sheet.volume_and_extent import whole_extent
 from clacad.sheet.window import Window
@@ -403,7 +403,7 @@ def steer(
     Steered('biconvex', 3 positions from -0.05 to 0.05 mm along x, ...)
     """
     scan = travel if isinstance(travel, Scan) else Scan(travel, axis, move, positions)
-    window = need_equal_cells(prescribe(design), "a scan", "a uniform sheet")
+    window = equal_cells(prescribe(design), "a scan", "a uniform sheet")
     moves = scan.moves_of(window)
     wavelength = window.wavelength or DEFAULT_WAVELENGTH
     report, found = shown_progress(progress), []
