@@ -249,7 +249,7 @@ class MadeSurface:
 
     @cached_property
     def tool(self) -> BallNose | None:
-        """The tool that rolls in the valleys of this face; None where there is none, or only ridges or land."""
+        """The tool that rolls in the valleys of this face; None: there is none, or only ridges or land."""
         if not self.process.nose or not self.convex or self.face.land is not None:
             return None
         sign = -1.0 if self.process.cut_as_insert else 1.0
@@ -382,21 +382,21 @@ def made_surface(
 
 
 def _refuse_land(window: Window, face: Face, nose: float, insert: bool) -> None:
-    """Refuse a tool that rounds lenses beside land; what it leaves on the land meets no light of lenses.
+    """Refuse a tool that rounds lenses next to land; what it leaves on the land meets no light of lenses.
 
     Raises NotPossible.
     """
     unit = 1e6 * window.unit
     if insert:
         raise NotPossible(
-            f"process.nose {nose * unit:g} um with land (lattice.seam): the insert has pits with walls, and what a"
-            ' tool leaves at their foot is not known; set process.nose = "0 um" or lattice.seam = 0'
+            f"process.nose {nose * unit:g} um with land (lattice.seam): the insert has pits with walls, and"
+            ' what a tool leaves at their foot is not known; set process.nose = "0 um" or lattice.seam = 0'
         )
     depths, area, _ = ToolFace(window, face, nose, 1.0).depths
     share = float(((depths > DEEP * min(window.lattice.pitch)) @ area).max())
     if share > 0.0:
         raise NotPossible(
-            f"process.nose {nose * unit:g} um does not reach {percent_text(share)} of lenses beside land"
+            f"process.nose {nose * unit:g} um does not reach {percent_text(share)} of lenses next to land"
             f" {window.land.seam * unit:g} um wide (lattice.seam), and the rest is not judged as made; take a"
             " smaller nose, or a wider seam"
         )
