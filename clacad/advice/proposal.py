@@ -30,7 +30,7 @@ FEW = 2
 """Largest number of wishes, and of failing checks, that are printed in full."""
 
 NEAR = 1e-3
-"""Largest difference of a wished side, in pitches, of which nothing is said."""
+"""Largest difference of a wished side, in pitches, of which nothing is printed."""
 
 MOST_WORK = 1500
 """Work after which no further wish is tried, in shares of thin lenses."""

@@ -64,11 +64,6 @@ class Made:
                 "a sheet whose arrays have different cells (lattice.pitch_2, rotation_2) is not judged as"
                 " made; leave them out"
             )
-        if window.land.seam > 0.0 and process.nose > 0.0:
-            raise NotPossible(
-                "process.nose with land (lattice.seam) is not judged as made: what a tool leaves at the step"
-                ' to the land is not known; set process.nose = "0 um" or lattice.seam = 0'
-            )
         depths = None if curve is None else read_curve(curve)
 
         def both(body: Body) -> tuple[MadeSurface, MadeSurface]:

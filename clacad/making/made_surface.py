@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
+from clacad.base.text import percent_text
 from clacad.base.types import Bools, Floats
 from clacad.design.process import Process
-from clacad.formats.maps.tool_path import Nose
+from clacad.formats.maps.tool_path import DEEP, Nose, ToolFace
 from clacad.optics.surface.sag_and_normal import (
     EvenPolynomial,
     conic_constants,
@@ -248,8 +249,8 @@ class MadeSurface:
 
     @cached_property
     def tool(self) -> BallNose | None:
-        """The tool that rolls in the valleys of this face; None where there is none, or only ridges."""
-        if not self.process.nose or not self.convex:
+        """The tool that rolls in the valleys of this face; None: there is none, or only ridges or land."""
+        if not self.process.nose or not self.convex or self.face.land is not None:
             return None
         sign = -1.0 if self.process.cut_as_insert else 1.0
         return BallNose(self.window, self.face, self.process.nose / self.window.unit, out=sign)
@@ -368,6 +369,8 @@ def made_surface(
     """
     made = MadeSurface(window, face, process, depths)
     nose, unit = process.nose / window.unit, 1e6 * window.unit
+    if nose and face.array is not None and face.land is not None:
+        _refuse_land(window, face, nose, process.cut_as_insert)
     if nose and not made.convex and np.isfinite(made.lens.sharpest) and nose >= abs(made.lens.sharpest):
         cut = "insert of a face" if process.cut_as_insert else "concave face"
         raise NotPossible(
@@ -376,6 +379,27 @@ def made_surface(
             " smaller"
         )
     return made
+
+
+def _refuse_land(window: Window, face: Face, nose: float, insert: bool) -> None:
+    """Refuse a tool that rounds lenses next to land; what it leaves on the land meets no light of lenses.
+
+    Raises NotPossible.
+    """
+    unit = 1e6 * window.unit
+    if insert:
+        raise NotPossible(
+            f"process.nose {nose * unit:g} um with land (lattice.seam): the insert has pits with walls, and"
+            ' what a tool leaves at their foot is not known; set process.nose = "0 um" or lattice.seam = 0'
+        )
+    depths, area, _ = ToolFace(window, face, nose, 1.0).depths
+    share = float(((depths > DEEP * min(window.lattice.pitch)) @ area).max())
+    if share > 0.0:
+        raise NotPossible(
+            f"process.nose {nose * unit:g} um does not reach {percent_text(share)} of lenses next to land"
+            f" {window.land.seam * unit:g} um wide (lattice.seam), and the rest is not judged as made; take a"
+            " smaller nose, or a wider seam"
+        )
 
 
 def made_face(made: MadeSurface, origin: Floats) -> AnyFace:

@@ -190,6 +190,21 @@ def test_textures_of_one_process_add_in_squares():
     assert scallop(0.0, 1e-3).rms == scallop(1e-6, 0.0).rms == 0.0
 
 
+def test_a_nose_that_finds_room_on_land_leaves_its_lenses_as_they_are():
+    """By hand: on a lens of radius R that ends at x, its centre is x r/R further out, in the middle of the land
+    at most; the seam .05 of lenses 2.468 that end at .225 takes a nose of .05/2/.225 R = .274 along the axes.
+    """
+    design = clacad.load("window-100mm", ["lattice.count = [4, 4]", "lattice.seam = 0.05"])
+    window = clacad.prescribe(design)
+    made = light_as_made(design, window, 4096, Process(nose=0.27e-3))
+    assert made.share_rounded == 0.0
+    assert made.formed == made.everything == made.designed
+    with pytest.raises(NotPossible, match="290 um does not reach .* next to land 50 um wide"):
+        light_as_made(design, window, 1024, Process(nose=0.29e-3))
+    with pytest.raises(NotPossible, match="the insert has pits with walls"):
+        light_as_made(design, window, 1024, Process("moulding", nose=25e-6))
+
+
 @pytest.mark.parametrize("row", of_kind("seam"))
 def test_the_rounded_share_of_spheres_is_exact(row, sheets):
     _, window = sheets["window"]
