@@ -261,17 +261,14 @@ class TableFile:
         index: Ints = np.where(whole, numbers[:, :2], -(2.0**53)).astype(np.int64)
         place, j = places_in_rows(self.lattice, index), index[:, 1]
         outside = np.column_stack([(place < 0) | (place >= n1), (j < 0) | (j >= n2)])
-        good = np.abs(numbers[:, 2:4]) <= LARGEST  # False for NaN
         flaws: tuple[tuple[Bools, int, str, str], ...] = (
             (~whole[:, 0], 0, "i is no whole number", "a whole number"),
             (~whole[:, 1], 1, "j is no whole number", "a whole number"),
             (outside[:, 1], 1, "j lies outside the sheet", f"0 to {n2 - 1}"),
             (outside[:, 0], 0, "i lies outside the sheet", f"0 to {n1 - 1}" + self._less_rows()),
-            (~good[:, 0], 2, "delta_x is out of range", f"a number from -{LARGEST:g} to {LARGEST:g}"),
-            (~good[:, 1], 3, "delta_y is out of range", f"a number from -{LARGEST:g} to {LARGEST:g}"),
             *(
-                (~self._has_lens(eta, name), 4 + k, f"{name} is out of range", self._etas(name))
-                for k, (name, eta) in enumerate(zip(rows.columns[4:], numbers.T[4:], strict=True))
+                (~self._has_lens(numbers[:, k], name), k, f"{name} is out of range", self._allowed(name))
+                for k, name in enumerate(rows.columns[2:], 2)
             ),
         )
         bad = np.flatnonzero(np.any([flaw[0] for flaw in flaws], axis=0))
@@ -312,13 +309,17 @@ class TableFile:
         return np.where(missing[..., None], (0.0, 0.0, *(self.eta[ETAS[name][0]] for name in names)), made)
 
     def _has_lens(self, eta: Floats, name: str) -> Bools:
-        """Whether each η (...) gives lenses with the signs of the law's lenses."""
+        """Whether each η (...) gives lenses with the signs of the law's lenses; each δ: whether it is small."""
+        if name not in ETAS:
+            return np.asarray(np.abs(eta) <= LARGEST)  # False for NaN
         low, high = _eta_range(self.eta[axis] for axis in ETAS[name])
         size = np.abs(eta)
         return np.asarray((low < eta) & (eta < high) & (size >= LEAST_ETA) & (size <= LARGEST))
 
-    def _etas(self, name: str) -> str:
-        """Describe the η that cells may have."""
+    def _allowed(self, name: str) -> str:
+        """Describe the numbers that a column or an array may have."""
+        if name not in ETAS:
+            return f"a number from -{LARGEST:g} to {LARGEST:g}"
         low, high = _eta_range(self.eta[axis] for axis in ETAS[name])
         if low >= high:
             return "eta_x and eta_y: those of law.eta lie on two sides of 0 or 1, where no one number does"
@@ -389,7 +390,7 @@ class TableFile:
             bad = places[~lensed[places, j]]
             if len(bad):
                 why = f"{name}[{bad[0]}, {j}] = {etas[bad[0], j]} is out of range"
-                self.refuse(why, allowed=self._etas(name))
+                self.refuse(why, allowed=self._allowed(name))
         return np.where(lensed, etas, self.eta[ETAS[name][0]])
 
     def _array(self, stream: IO[bytes], name: str) -> Floats:

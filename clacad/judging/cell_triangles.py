@@ -24,8 +24,8 @@ from clacad.formats.mesh.compare_instances import owner as owner
 from clacad.mesh.border_samples import in_corners
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.plate import Hole, Plate
-from clacad.sheet.volume_and_extent import distance_in_cell
-from clacad.sheet.window import WALL, Body, Face, Window, heights_of_lenses, lens_height
+from clacad.sheet.volume_and_extent import distance_in_cell, height_above
+from clacad.sheet.window import WALL, Body, Face, Window, lens_height
 from clacad.solid.marks import pockets
 from clacad.tracing.facets.telescopelet import AnyFace, ExactFace, FacetBody, FacetFace, facet_face, on_land
 
@@ -378,22 +378,6 @@ def _faceted(window: Window, found: CellFacets, key: Key, place: Floats, onto_de
     if found.repeats:
         found.binned[key, onto_design] = made
     return made
-
-
-def height_above(window: Window, face: Face, points: Floats, cells: Ints) -> Floats:
-    """Height (n,) of facet points (n, 3) above the design's lens or land in their cells (n, 2), whichever is
-    nearer.
-
-    NaN where the design has neither.
-    """
-    assert face.array is not None
-    local, places = points[:, :2] - window.centres(face.array, cells), window.lenses(face, cells)
-    above = points[:, 2] - heights_of_lenses(face, places, *local.T)
-    above = np.where(window.lattice.contains(cells), above, np.nan)
-    if face.land is None:
-        return above
-    land = points[:, 2] - face.land
-    return np.where(~(np.abs(above) <= np.abs(land)), land, above)
 
 
 def exact_height(face: Face, flat: NDArray[np.bool_], points: Floats) -> Floats:

@@ -19,7 +19,7 @@ from clacad.base.polygons import polygon_area
 from clacad.base.types import Floats, Ints
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.face_order import plates_of
-from clacad.sheet.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, column, face_height, heights_of_lenses, optical_tile
 
@@ -330,14 +330,24 @@ def distance_in_cell(window: Window, face: Face, points: Floats, index: Ints) ->
     """Vertical distance (n, k) of points (n, k, 3) to a face in known cells (n, 2) of its array."""
     if face.array is None:
         return np.asarray(np.abs(points[..., 2] - face.vertex[2]))
-    lattice: Lattice = window.lattice
-    kept = lattice.contains(index)
-    local = points[..., :2] - window.centres(face.array, index)[:, None]
-    places = window.lenses(face, index[:, None])
-    lens = heights_of_lenses(face, places, local[..., 0], local[..., 1])
-    to_lens = np.where(kept[:, None] & np.isfinite(lens), np.abs(points[..., 2] - lens), inf)
-    to_land = np.full_like(to_lens, inf) if face.land is None else np.abs(points[..., 2] - face.land)
-    return np.asarray(np.minimum(to_lens, to_land))
+    above = height_above(window, face, points, index[:, None])
+    return np.where(np.isnan(above), inf, np.abs(above))
+
+
+def height_above(window: Window, face: Face, points: Floats, cells: Ints) -> Floats:
+    """Height (...) of points (..., 3) above the design's lens or land in their cells (..., 2), whichever is
+    nearer.
+
+    NaN where the design has neither.
+    """
+    assert face.array is not None
+    local = points[..., :2] - window.centres(face.array, cells)
+    lens = heights_of_lenses(face, window.lenses(face, cells), local[..., 0], local[..., 1])
+    above = np.where(window.lattice.contains(cells), points[..., 2] - lens, np.nan)
+    if face.land is None:
+        return above
+    land = points[..., 2] - face.land
+    return np.where(~(np.abs(above) <= np.abs(land)), land, above)
 
 
 FIELD = 2
