@@ -38,7 +38,7 @@ from clacad.exporting.limits import refuse_no_cell
 from clacad.exporting.roles import Role
 from clacad.formats.maps.sag import structured_faces
 from clacad.judging.delivery import Inspection, Subject
-from clacad.judging.file_light import light_checks, measure_light
+from clacad.judging.file_light import light_checks, measure_light, softened
 from clacad.judging.mesh_light import lit_cells, seen_cell
 from clacad.light.measure import Send
 from clacad.optics.fit import legendre
@@ -220,6 +220,11 @@ def _labelled(window: Window, name: str) -> bool:
 DEGREE, GRID = 8, 33
 """Highest total degree of the fitted form; nodes along a cell side at which it is given to the tracer."""
 
+CUT_FROM = (
+    "facets of an insert are judged by their shape: where they are too coarse, cut from the STEP or the map"
+)
+"""Said of light through the facets of an insert."""
+
 CLOSE = 20.0
 """Deviation, over the room, up to which a wrong file counts as explained."""
 
@@ -345,7 +350,10 @@ def _light(
         made_bodies(one.like, like, one.index, shape),
         f"{what} ({of.label}; the rest as designed)",
     )
-    return light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)
+    found = light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)
+    if facets is None:
+        return found
+    return [replace(softened(one), sentence=f"{one.sentence}; {CUT_FROM}") for one in found]
 
 
 def _made_facets(
