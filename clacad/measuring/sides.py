@@ -140,7 +140,7 @@ class ShownCells:
     side : Side
     first : (2,) ints. Cell of the sheet at step (0, 0) of the map's lattice.
     known : (for i, for j). "stated", "placed" with the mesh of a part, "edge" of the array in the map,
-        "mark": a hole or corner of the plate in it, or "assumed": the middle of the sheet.
+        "mark": a hole or side of the plate in it, or "assumed": the middle of the sheet.
     """
 
     side: Side

@@ -17,7 +17,7 @@ from clacad.base.interactive import shown_progress
 from clacad.base.text import mrad_text
 from clacad.base.types import Progress
 from clacad.checks.check import Check, accepted
-from clacad.checks.file_kinds import FAITHFUL_RMS, FILE_TARGET, SHAPE
+from clacad.checks.file_kinds import FAITHFUL_RMS, FILE_TARGET
 from clacad.exporting.roles import Role
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.feasibility import Feasibility, feasibility
@@ -152,14 +152,14 @@ def _with_files(
     report: Report, delivery: Delivery, cells: tuple[int, int] | None, rays: int, progress: Progress
 ) -> Report:
     """Report with the results of the files added; only files need the modules that read and cut them."""
-    from clacad.judging.judge_files import judge_files
+    from clacad.judging.judge_files import THROUGH, judge_files
     from clacad.verification.light.facet_convergence import judge_convergence
 
     checks, files = judge_files(report.design, report.window, delivery, cells, rays, progress)
     part = _measured_scan(report.design, files)
     convergence = None
     if part is not None:
-        checks = [*_beside_lenslets(checks), *part.checks]
+        checks = [*(check for check in checks if check.kind not in THROUGH), *part.checks]
     elif any(f.subject.is_mesh for f in files):
         convergence, check = judge_convergence(report.design, report.window, progress)
         checks = [*checks, check]
@@ -183,18 +183,6 @@ def _measured_scan(design: Design, judged: Sequence[FileReport]) -> Measured | N
         return measure_mesh(design, placed.window, name, mesh, placed.pose)
     except (UnreadableFile, NotPossible):
         return None
-
-
-def _beside_lenslets(checks: Sequence[Check]) -> Iterator[Check]:
-    """Checks of a mesh next to those of its lenslets: light and form are those of the fit, damage is not."""
-    from clacad.judging.judge_files import THROUGH
-
-    for check in checks:
-        if check.kind in THROUGH:
-            continue
-        damage = check.detail.get("dents") or any(one["cells"] for one in check.detail.get("features", ()))
-        formed = check.kind is SHAPE and check.state == "fail" and not damage
-        yield replace(check, state="warn", required=False) if formed else check
 
 
 def judge_window(design: Design, window: Window, facts: Feasibility, rays: int) -> tuple[list[Check], Optics]:
