@@ -56,6 +56,7 @@ from clacad.tracing.compiled.block import (
     centres,
     copy_row,
     hold_in_zone,
+    keep_hits,
     lane,
     lanes,
 )
@@ -332,7 +333,15 @@ def _between(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> Non
 
 @exact
 def _cross(
-    own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int, media: Media, climb: float, offset: Vector
+    own: OwnCells | None,
+    sheet: Packed,
+    f: int,
+    s: Floats,
+    m: int,
+    media: Media,
+    climb: float,
+    offset: Vector,
+    line: int,
 ) -> None:
     """Cross one face; positions plus the offset are relative to its vertex, afterwards without the offset.
 
@@ -352,10 +361,14 @@ def _cross(
     if within and plain and lat[slot.HEXAGONAL] == 0.0:
         hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
     if turned:
-        _turn_in(face, s, m, offset)
+        if f or line <= 0:
+            _turn_in(face, s, m, offset)
         offset, lowest = (0.0, 0.0, 0.0), -2.0
     if quadric:
-        _meet_quadric(face, s, m, media[0], offset)
+        if f or line <= 0:
+            _meet_quadric(face, s, m, media[0], offset)
+        if f == 0 and line == 0:
+            keep_hits(s, m, False)
         _refract_quadric(face, s, m, media, lowest, hx, hy)
     else:
         _meet_biconic(faces, f, s, m, media, offset)
@@ -592,16 +605,27 @@ def _past_joint(
 
 @exact
 def straight(
-    tiles: Tiles | None, sheet: Packed, s: Floats, chosen: Rows, hits: Floats, turns: Floats, carried: Floats
+    tiles: Tiles | None,
+    sheet: Packed,
+    s: Floats,
+    chosen: Rows,
+    hits: Floats,
+    turns: Floats,
+    carried: Floats,
+    line: int,
 ) -> int:
     """Trace a launched block straight through every face; return the array its cells refer to at the end.
 
     Positions are relative to the face last crossed. Counted losses (`Packed.losses`) are in SHARE and DEPTH.
+
+    line : Of several lines of light whose first hits are shared, the number of this one; −1: of one alone.
     """
     faces, bodies, lat, own = sheet.faces, sheet.bodies, sheet.lattice, sheet.own
     m, array, gone, met, counted = len(chosen), 0, 0, 0, len(sheet.losses) > 0
     for i in range(m if counted else 0):
         s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
+    if line > 0:
+        keep_hits(s, m, True)
     ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level
     for b in range(len(bodies)):
         body, columnar = bodies[b], bodies[b, slot.COLUMNAR] != 0.0
@@ -624,7 +648,8 @@ def straight(
                 _past_joint(sheet, f, s, array, chosen, oz, hits, turns)
                 continue
             if structured and (side == 0 or not columnar):
-                _enter_array(sheet, f, s, m, media[0], array, (ox, oy, oz))
+                if f or line <= 0:
+                    _enter_array(sheet, f, s, m, media[0], array, (ox, oy, oz))
                 if f > 0:
                     array, ox, oy, oz = int(face[slot.ARRAY]), 0.0, 0.0, 0.0
                 if met == 0:
@@ -642,7 +667,7 @@ def straight(
                     hold_in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
             else:
                 _into_lens(own, sheet, f, s, m, (ox - vx, oy - vy, oz - vz))
-                _cross(own, sheet, f, s, m, media, climb, (ox - vx, oy - vy, oz - vz))
+                _cross(own, sheet, f, s, m, media, climb, (ox - vx, oy - vy, oz - vz), line)
             _leave(sheet, f, s, m, media, tiles is not None)
             ox, oy, oz = vx, vy, vz
             if structured:
