@@ -137,7 +137,8 @@ def main(into: str = "") -> int:
         f"| ratio | 3 | {files[many][1] / files[few][1]:.2f} | {files[many][0] / files[few][0]:.2f} |"
         f" {ratios[0]:.2f} (at most {VERIFY:g}) | {ratios[1]:.2f} (at most {TRACE:g}) |",
         "",
-        f"White light: four lines one by one take {each:.2f} times one line, at once {together:.2f} (at most {WHITE:g}).",
+        f"White light: four lines one by one take {each:.2f} times one line,"
+        f" at once {together:.2f} (at most {WHITE:g}).",
     ]
     text = "\n".join(lines) + "\n"
     print(text)

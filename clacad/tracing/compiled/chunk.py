@@ -103,7 +103,8 @@ def trace_chunk(
     """
     s, carried, scratch = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK), new_scratch()
     lines, media = len(sheet.media) // (len(sheet.faces) + 1), np.empty(len(sheet.faces) + 1)
-    lit = Packed(sheet.faces, sheet.bodies, sheet.lattice, sheet.rows, media, sheet.losses, sheet.edges, sheet.lattices, sheet.own)  # fmt: skip
+    faces, bodies, lat, losses = sheet.faces, sheet.bodies, sheet.lattice, sheet.losses
+    lit = Packed(faces, bodies, lat, sheet.rows, media, losses, sheet.edges, sheet.lattices, sheet.own)
     waiting, counts = np.empty((lines, WAITING + BLOCK), dtype=np.intp), np.zeros(lines, dtype=np.intp)
     rows, walked = np.empty(BLOCK, dtype=np.intp), 0
     shared = lines > 1 and tiles is None and sheet.own is None and sheet.faces[0, BICONIC] == 0.0
@@ -116,7 +117,7 @@ def trace_chunk(
                 rows[k] = block[k] + line * len(start)
             if line == 0 or not shared:
                 load_block(block, start, ray, s)
-                launch_block(sheet.lattice, sheet.bodies[0], s, m)
+                launch_block(lat, bodies[0], s, m)
                 copy_row(lane(s, PATH), carried, m)
             array = straight(tiles, lit, s, rows[:m], out.hits, out.turns, carried, line if shared else -1)
             store_block(lit, s, rows[:m], array, out)

@@ -603,6 +603,45 @@ def _past_joint(
         _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
 
 
+@inlined
+def _begin(s: Floats, m: int, counted: bool, line: int) -> None:
+    """Nothing is lost yet; of a further line of light, fetch the hits on the first face."""
+    for i in range(m if counted else 0):
+        s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
+    if line > 0:
+        keep_hits(s, m, True)
+
+
+@inlined
+def _leave_body(lat: Floats, s: Floats, m: int, ox: float, oy: float) -> None:
+    """Remember where rays leave a body before a honeycomb."""
+    if lat[slot.BAFFLE] != slot.NO_BAFFLE:
+        for i in range(m):
+            s[LEFT_X, i], s[LEFT_Y, i] = s[X, i] + ox, s[Y, i] + oy
+
+
+@inlined
+def _least_climb(face: Floats, other: Floats, columnar: bool) -> float:
+    """Least climb of rays that pass a face: steeper than the lenses."""
+    if face[slot.ARRAY] < 0.0:
+        return 0.0
+    climb: float = max(face[slot.CLIMB], other[slot.CLIMB]) if columnar else 1.0 * face[slot.CLIMB]
+    return climb
+
+
+@inlined
+def _hold_before(
+    sheet: Packed, f: int, gone: int, array: int, s: Floats, m: int, ox: float, oy: float, carried: Floats
+) -> None:
+    """Require that the way to a face just crossed was open: ahead of the start, through the honeycomb."""
+    if sheet.bodies[f // 2, slot.COLUMNAR] == 0.0:
+        _in_inner(sheet.bodies[f // 2], sheet.lattices[array], s, m, array, ox, oy)
+    if f == 0:
+        _start_ahead(s, m, carried)
+    if f > 1 and f % 2 == 0 and sheet.lattice[slot.BAFFLE] != slot.NO_BAFFLE:
+        _open_baffle(sheet, f, gone, array, s, m)
+
+
 @exact
 def straight(
     tiles: Tiles | None,
@@ -617,15 +656,11 @@ def straight(
     """Trace a launched block straight through every face; return the array its cells refer to at the end.
 
     Positions are relative to the face last crossed. Counted losses (`Packed.losses`) are in SHARE and DEPTH.
-
     line : Of several lines of light whose first hits are shared, the number of this one; −1: of one alone.
     """
     faces, bodies, lat, own = sheet.faces, sheet.bodies, sheet.lattice, sheet.own
     m, array, gone, met, counted = len(chosen), 0, 0, 0, len(sheet.losses) > 0
-    for i in range(m if counted else 0):
-        s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
-    if line > 0:
-        keep_hits(s, m, True)
+    _begin(s, m, counted, line)
     ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level
     for b in range(len(bodies)):
         body, columnar = bodies[b], bodies[b, slot.COLUMNAR] != 0.0
@@ -636,9 +671,7 @@ def straight(
         if b:
             oz -= body[slot.LEVEL] - bodies[b - 1, slot.LEVEL]
             gone = array
-            if lat[slot.BAFFLE] != slot.NO_BAFFLE:
-                for i in range(m):
-                    s[LEFT_X, i], s[LEFT_Y, i] = s[X, i] + ox, s[Y, i] + oy
+            _leave_body(lat, s, m, ox, oy)
         for side in range(2):
             f = 2 * b + side
             face, other = faces[f], faces[2 * b + 1 - side]
@@ -657,9 +690,7 @@ def straight(
                     copy_row(lane(s, CJ), lane(s, CJ0), m)
                 elif array == FIELD:
                     _same_cell(s, m)
-            climb = 0.0
-            if structured:
-                climb = max(face[slot.CLIMB], other[slot.CLIMB]) if columnar else face[slot.CLIMB]
+            climb = _least_climb(face, other, columnar)
             vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
             if tiles is not None:
                 cross_facets(tiles, faces, f, s, m, media, climb, (ox, oy, oz))
@@ -673,12 +704,7 @@ def straight(
             if structured:
                 met += 1
                 _stay_inside(sheet, f, s, m, tiles is not None, (vx, vy, vz))
-            if not columnar:
-                _in_inner(body, sheet.lattices[array], s, m, array, ox, oy)
-            if f == 0:
-                _start_ahead(s, m, carried)
-            if b and side == 0 and lat[slot.BAFFLE] != slot.NO_BAFFLE:
-                _open_baffle(sheet, f, gone, array, s, m)
+            _hold_before(sheet, f, gone, array, s, m, ox, oy, carried)
             if len(hits) and not counted:
                 _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
         if columnar:
