@@ -196,8 +196,9 @@ def measure(
     lines, weights = [], []
     for kelvin, hot in _weighted(temperatures) or [(0.0, 1.0)]:
         through = send if kelvin == 0.0 else _heated(send, kelvin)
-        for one, bright in _in_lines(lit, wavelengths):
-            lines.append(Light(one, through(one), law, fewest))
+        each = _in_lines(lit, wavelengths)
+        for (one, bright), seen in zip(each, _seen(through, lit, [*wavelengths], each), strict=True):
+            lines.append(Light(one, seen, law, fewest))
             weights.append(hot * bright)
     return _together(lines, weights)
 
@@ -295,6 +296,16 @@ def _in_lines(lit: Bundle, wavelengths: Weights) -> list[tuple[Bundle, float]]:
         (replace(lit, rays=Rays(rays.position, rays.direction, wave)), weight)
         for wave, weight in _weighted(wavelengths)
     ]
+
+
+def _seen(
+    send: Send, lit: Bundle, waves: Sequence[float], each: Sequence[tuple[Bundle, float]]
+) -> list[TraceResult]:
+    """Where a sender sends the bundle in each line: at once where it can."""
+    at_once: Callable[..., list[TraceResult]] | None = getattr(send, "in_lines", None)
+    if at_once is None or len(waves) < 2:
+        return [send(one) for one, _ in each]
+    return at_once(lit, waves)
 
 
 def _weighted(values: Weights) -> list[tuple[float, float]]:

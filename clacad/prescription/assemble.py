@@ -68,15 +68,15 @@ def assemble_window(
 def with_line(window: Window, design: Design) -> Window:
     """The window with the opaque line of its design, if it has one.
 
-    Raises DesignError: The face carries no lenses.
+    Raises DesignError: The sheet has no face of that number.
     """
     line = design.lattice.line
     if line is None:
         return window
-    printable = {}
-    for number, (body, face, _, _) in enumerate(refractions(window.bodies), start=1):
-        if face.array is not None:
-            printable[number] = 2 * window.bodies.index(body) + (face is body.back)
+    printable = {
+        number: 2 * window.bodies.index(body) + (face is body.back)
+        for number, (body, face, _, _) in enumerate(refractions(window.bodies), start=1)
+    }
     if line.face not in printable:
         raise DesignError(
             [
@@ -85,7 +85,8 @@ def with_line(window: Window, design: Design) -> Window:
                     f"no line can be printed on face {line.face} of this sheet",
                     LATTICE.line,
                     found=str(line.face),
-                    allowed="a face with lenses: " + ", ".join(map(str, printable)),
+                    allowed="a face of the sheet, in the order of the light: "
+                    + ", ".join(map(str, printable)),
                 )
             ]
         )

@@ -71,7 +71,17 @@ def lined_face(window: Window) -> Face | None:
 def lined_array(window: Window) -> int:
     """The array along whose cells an opaque line runs; -1 without one."""
     face = lined_face(window)
-    return -1 if face is None or face.array is None else face.array
+    return -1 if face is None else array_at(window, face)
+
+
+def array_at(window: Window, face: Face) -> int:
+    """The array of a face; of a plane face, which has none, that of the nearest lens."""
+    if face.array is not None:
+        return face.array
+    apart = [
+        (abs(one.vertex[2] - face.vertex[2]), one.array) for one in window.faces if one.array is not None
+    ]
+    return min(apart)[1]
 
 
 def lined_surfaces(window: Window) -> tuple[int, ...]:

@@ -9,7 +9,7 @@ loaded. `trace_sequence` is the primitive for surfaces given one by one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,7 +18,7 @@ import numpy as np
 
 from clacad.base.types import Rows, Rung
 from clacad.optics.rays import Fate, OneRay, Rays, TraceResult, as_rays
-from clacad.sheet.face_order import lined_array, media_of
+from clacad.sheet.face_order import media_of
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Window
 from clacad.tracing.facets.tiles import Tiles
@@ -45,6 +45,9 @@ if TYPE_CHECKING:
     from clacad.tracing.facets.triangle_soup import AnyMesh, Facets
 
 Precision = Literal["float64", "float32"]
+
+PIECE = 1 << 16
+"""Rays that are traced in several lines at once: their rows are few enough to be used again."""
 
 ONLY_BARE = 'precision "float32" is for rung "surfaces", compiled, with no effects and no record'
 """Message for single precision requested elsewhere."""
@@ -126,6 +129,34 @@ class SheetTracer:
                 return _ideal(layout, rays, self.rung, self.threads)
         with measuring(self.rung, layout, len(rays), faces):
             return _by_numpy(layout, rays, self.rung, recorded, self.continuous)
+
+    def in_lines(self, rays: Rays, waves: Sequence[float]) -> Iterator[tuple[TraceResult, ...]]:
+        """The same rays in several lines of light (metres), piece by piece: one result a line.
+
+        Exact surfaces, compiled, compute what no colour changes once for all lines.
+        """
+        media = [media_of(self.window.bodies, wave) for wave in waves]
+        alike = self.rung == "surfaces" and len({first for first, *_ in media}) == 1
+        compiled = alike and self._chosen(len(rays) * len(waves)) == "numba"
+        piece = PIECE if compiled else max(1, len(rays))
+        for first in range(0, len(rays), piece):
+            part = slice(first, first + piece)
+            one = Rays(rays.position[part], rays.direction[part])
+            if compiled:
+                yield self._lines_compiled(one, media)
+            else:
+                yield tuple(self(Rays(one.position, one.direction, wave)) for wave in waves)
+
+    def _lines_compiled(self, rays: Rays, media: Sequence[Sequence[float]]) -> tuple[TraceResult, ...]:
+        """Rays in several lines by one pass of the kernel, which writes the lines one after another."""
+        from clacad.tracing.compiled.chunk import trace_compiled
+        from clacad.tracing.compiled.threads import thread_count
+
+        n, layout = len(rays), lay_out(self.window)
+        ledger = Ledger.blank(n * len(media), 0)
+        trace_compiled(layout, rays, ledger, np.arange(n), np.concatenate(media), thread_count(self.threads))
+        found = ledger.closed()
+        return tuple(found.rows(slice(k * n, (k + 1) * n)) for k in range(len(media)))
 
     def sums(self, rays: Rays, law: Law | None = None) -> LightSums:
         """Trace rays and return sums without rows; see `clacad.Tracer.sums`."""
@@ -209,14 +240,10 @@ def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int, continuous:
 
 def _ended_at_line(layout: Layout, rays: Rays, found: TraceResult) -> TraceResult:
     """A recorded trace in which the opaque line of a face ends the rays that hit it."""
-    window, number = layout.window, layout.window.land.lined
+    number = layout.window.land.lined
     assert found.hits is not None
     assert found.directions is not None  # both recorded
-    array = lined_array(window)
-    place = found.hits[number, :, :2] - np.asarray(window.shifts[array])
-    cell, *local = layout.lattices[array].locate(place[:, 0], place[:, 1])
-    on = on_line(layout, array, cell, np.stack(local, axis=1))
-    rows = np.flatnonzero((found.surface >= number) & on)
+    rows = np.flatnonzero((found.surface >= number) & on_line(layout, found.hits[number, :, :2]))
     names = ("hits", "directions", "optical_path", "fate", "surface", "position", "direction")
     changed = {name: getattr(found, name).copy() for name in names}
     hits, ways = changed["hits"], changed["directions"]

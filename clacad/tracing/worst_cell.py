@@ -7,6 +7,7 @@ equivalent, and sent through the whole sheet, neighbours included.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
 
@@ -16,12 +17,12 @@ from clacad.base.text import mrad_text
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.light.measure import Light, Weights, measure, rms_angles
 from clacad.optics.law import angle_between
-from clacad.optics.rays import Fate, Rays, TraceResult
+from clacad.optics.rays import Fate, Rays, TraceResult, joined_results
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
 from clacad.sheet.like_cell import heated, like_cell
 from clacad.sheet.representative_cells import SAMPLED, central_cell, representative_cells
 from clacad.sheet.window import Window
-from clacad.tracing.trace import trace
+from clacad.tracing.trace import SheetTracer, trace
 
 TRIED_RAYS = 256
 """Rays through each cell from which the worst is chosen."""
@@ -102,6 +103,12 @@ class SeenCell:
     def send(self, lit: Bundle) -> TraceResult:
         """Trace a bundle that was made for `like` through this cell of the sheet."""
         return trace(self.window, self.placed(lit).rays, path="size")
+
+    def in_lines(self, lit: Bundle, waves: Sequence[float]) -> list[TraceResult]:
+        """Trace a bundle in several lines of light (metres): what no colour changes is traced once."""
+        tracer = SheetTracer(self.window, path="size")
+        pieces = list(tracer.in_lines(self.placed(lit).rays, waves))
+        return [*pieces[0]] if len(pieces) == 1 else [joined_results(parts) for parts in zip(*pieces)]
 
     def placed(self, lit: Bundle) -> Bundle:
         """Move a bundle that was made for `like` in front of this cell of the sheet."""

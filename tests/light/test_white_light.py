@@ -24,8 +24,10 @@ from clacad.light.compare import changed, closed_change, paraxial
 from clacad.light.measure import measure
 from clacad.optics.material.catalogue import find, names
 from clacad.optics.material.material import ThermalNumbers
+from clacad.optics.rays import Fate, Rays
 from clacad.sheet.bundle import RequestedLaw, bundle
 from clacad.sheet.like_cell import heated, in_light
+from clacad.tracing.trace import SheetTracer
 from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.tolerance.light_measures import STATED, bench, measures_of
 from clacad.verification.tolerance.parameter_sweep import sweep
@@ -34,6 +36,7 @@ from clacad.verification.tolerance.study import limits
 DATA = Path(__file__).parents[1] / "data"
 DESIGNS = Path(__file__).parents[2] / "designs"
 RAYS = 4096
+PLATES = "three-plates-10deg"
 
 
 @cache
@@ -313,3 +316,22 @@ def test_a_sweep_of_a_design_that_states_its_light_has_the_rows_of_white_light()
     first, second = (row["law_white"] for row in stated.rows)
     assert 1e3 * first == pytest.approx(0.293, rel=0.01)
     assert second < 0.92 * first  # the source of the index decides more than the faces
+
+
+@pytest.mark.parametrize("kind", [PLATES, "hexagonal", "slab"])
+@pytest.mark.parametrize("rows", [1 << 14, (1 << 16) + 300])
+def test_lines_traced_at_once_are_those_traced_one_by_one_bit_by_bit(kind, rows):
+    """Also of rays that are walked, of faces solved by iteration, and where the rays take two pieces."""
+    window = clacad.prescribe(
+        load(kind, ["lattice.count = [5, 5]"] + ['pair.material = "PMMA"'] * (kind != PLATES))
+    )
+    rays = bundle(window, rows, 0.15).rays
+    tracer, waves = SheetTracer(window, path="numba"), [486.1e-9, 587.6e-9, 656.3e-9]
+    pieces = list(tracer.in_lines(rays, waves))
+    assert len(pieces) == (1 if rows <= 1 << 16 else 2)
+    for wave, *found in zip(waves, *pieces):
+        alone = tracer(Rays(rays.position, rays.direction, wave))
+        assert 0.0 < (alone.fate == Fate.GHOST).mean()
+        for name in ("position", "direction", "fate", "optical_path", "cell", "order", "surface"):
+            together = np.concatenate([getattr(one, name) for one in found])
+            assert np.array_equal(together, getattr(alone, name), equal_nan=True), name

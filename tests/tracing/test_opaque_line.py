@@ -21,10 +21,10 @@ from clacad.sheet.face_order import lined_array, lined_face, lined_surfaces
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.tracing.trace import trace
 
-WIDTH, PITCH = 0.012, 0.5
+WIDTH, PITCH, PLATES = 0.012, 0.5, "three-plates-10deg"
 
 
-def design(face: int | None = 1, kind: str = "three-plates-10deg") -> Design:
+def design(face: int | None = 1, kind: str = PLATES) -> Design:
     plain = Design.from_dict(tomllib.loads(template(kind, kind))).with_cells((9, 9))
     return plain if face is None else plain.replace({"lattice.line": {"face": face, "width": WIDTH}})
 
@@ -112,24 +112,32 @@ def test_lines_on_sheets_whose_cells_differ_follow_the_cells_of_their_face():
     assert ((found.fate == Fate.VIGNETTED) == (reached & aside)).all()
 
 
-def test_a_line_on_a_joint_ends_rays_there_and_has_a_mask(tmp_path):
-    plain = load("achromat-plastic", ["lattice.count = [3, 3]"])
-    made = plain.replace({"lattice.line": {"face": 2, "width": 0.05}})
+@pytest.mark.parametrize(
+    ("kind", "face", "surfaces"),
+    [("achromat-plastic", 2, (1, 2)), ("achromat", 2, (1, 2)), ("achromat", 3, (3, 4))],
+)
+def test_a_line_on_a_joint_ends_rays_there_and_has_a_mask(kind, face, surfaces, tmp_path):
+    """Of plane joints the line runs along the cells of the nearest lens."""
+    plain = load(kind, ["lattice.count = [3, 3]"])
+    made = plain.replace({"lattice.line": {"face": face, "width": 0.05}})
     window = prescribe(made)
-    assert lined_surfaces(window) == (1, 2)
+    assert lined_surfaces(window) == surfaces
+    assert lined_array(window) == face - 2
     share_ended = (trace(window, lit(window), path="numpy").fate == Fate.VIGNETTED).mean()
     free = trace(prescribe(plain), lit(window), record=True, path="numpy")
-    local = (free.hits[1, :, :2] + 0.5 * PITCH) % PITCH - 0.5 * PITCH
+    local = (free.hits[surfaces[0], :, :2] + 0.5 * PITCH) % PITCH - 0.5 * PITCH
     assert share_ended == pytest.approx((np.abs(local).max(axis=1) > 0.225).mean(), abs=1e-3)
     export(made, tmp_path / "out", formats=("mask",), progress=silent)
     assert len(list((tmp_path / "out").glob("*.svg"))) == 1
 
 
-@pytest.mark.parametrize("face", [1, 3, 6])
-def test_pictures_lose_the_light_of_the_line_with_losses_and_by_paths_in_any_order(face):
+@pytest.mark.parametrize(
+    ("kind", "face", "field"), [(PLATES, 1, 10.0), (PLATES, 3, 10.0), (PLATES, 6, 10.0), ("achromat", 3, 1.0)]
+)
+def test_pictures_lose_the_light_of_the_line_with_losses_and_by_paths_in_any_order(kind, face, field):
     """Passes over blocks and the non-sequential trace of the same rays agree on which rays end at the line."""
-    window = prescribe(design(face))
-    rays = lit(window, np.radians(10.0), 1 << 11)
+    window = prescribe(design(face, kind))
+    rays = lit(window, np.radians(field), 1 << 11)
     plain = trace(window, rays, path="numpy")
     dark = plain.fate == Fate.VIGNETTED
     assert dark.any()
@@ -150,7 +158,7 @@ def test_pictures_lose_the_light_of_the_line_with_losses_and_by_paths_in_any_ord
     [
         ("three-plates-10deg", {"face": 1, "width": 0.5}, "leaves no lens"),
         ("three-plates-10deg", {"face": 7, "width": 0.01}, "face 7 of 6"),
-        ("achromat", {"face": 2, "width": 0.01}, "no line can be printed on face 2"),
+        ("achromat", {"face": 5, "width": 0.01}, "no line can be printed on face 5|face 5 of 4"),
         ("slab", {"face": 3, "width": 0.01}, "no line can be printed on face 3"),
     ],
 )

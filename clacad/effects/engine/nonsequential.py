@@ -16,7 +16,7 @@ from clacad.base.types import Bools, Floats, Ints, Rows
 from clacad.optics.rays import Rays
 from clacad.optics.surface import refract
 from clacad.optics.surface.fresnel_coefficients import deviation, reflected
-from clacad.sheet.face_order import lined_array, lined_surfaces
+from clacad.sheet.face_order import lined_surfaces
 from clacad.sheet.window import IDENTITY, Body, Face, Window
 from clacad.tracing.layout import BodyPlan, Layout, lay_out, lenses, sheet_position
 from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL, RayColumns
@@ -324,7 +324,7 @@ class _Packets:
         up, number, inside = state
         layout = self.layouts[up]
         land = np.isin(event.kind, (FRONT_LAND, BACK_LAND))
-        stops = land & layout.window.land.opaque | at_line(layout, number, packet.beam.direction, event)
+        stops = land & layout.window.land.opaque | at_line(layout, number, packet.beam, event)
         if stops.any():
             self.end("opaque", packet.take(stops))
             packet, event = packet.take(~stops), event.take(~stops)
@@ -420,14 +420,13 @@ class _Packets:
         self.put((not up, other, inside), replace(falls, beam=turned))
 
 
-def at_line(layout: Layout, number: int, ray: Floats, event: Event) -> Bools:
-    """Which rays, unit directions (m, 3), meet a face of a body on its opaque line, (m,)."""
-    array, on = lined_array(layout.window), np.zeros(len(ray), dtype=bool)
-    for side, kinds in enumerate(((FRONT, FRONT_LAND), (BACK, BACK_LAND))):
-        if 2 * number + side in lined_surfaces(layout.window):
-            place = event.starts[array] + event.distance[:, None] * ray[:, :2]
-            on |= np.isin(event.kind, kinds) & on_line(layout, array, event.cells[array], place)
-    return on
+def at_line(layout: Layout, number: int, beam: Beam, event: Event) -> Bools:
+    """Which rays of a beam meet a face of a body on its opaque line, (m,)."""
+    lined = [side for side in (0, 1) if 2 * number + side in lined_surfaces(layout.window)]
+    if not lined:
+        return np.zeros(len(beam.direction), dtype=bool)
+    on = np.isin(event.kind, [((FRONT, FRONT_LAND), (BACK, BACK_LAND))[side] for side in lined])
+    return on & on_line(layout, sheet_xy(layout, beam) + event.distance[:, None] * beam.direction[:, :2])
 
 
 def normals_met(layout: Layout, body: BodyPlan, packet: Packet, event: Event) -> Floats:

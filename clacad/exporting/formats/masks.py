@@ -102,15 +102,15 @@ def _forecast_mask(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
 def _mask_bytes(window: Window) -> int:
     """Size of the SVG and DXF masks: outlines as they are, cells by their first row."""
     from clacad.formats.maps.mask import aperture, masked_faces
+    from clacad.sheet.face_order import array_at
 
     total = 0.0
     scale = millimetres(window.unit)
     for body, face, _ in masked_faces(window):
-        assert face.array is not None
         outline = (aperture(window, body, face) * scale + 0.0).tolist()
         total += sum(len(f"{x!r}{y!r}") for x, y in outline) * 2 + 40 * len(outline) + 1400
         row = window.lattice.row(window.lattice.count[1] // 2)
-        centres = (window.centres(face.array, row) * scale).tolist()
+        centres = (window.centres(array_at(window, face), row) * scale).tolist()
         digits = sum(len(f"{x!r}{y!r}") for x, y in centres) / max(1, len(centres))
         total += window.lattice.cell_count * (2 * digits + 34 + 36)
     return int(total)

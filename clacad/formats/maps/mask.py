@@ -18,7 +18,7 @@ from clacad.base.polygons import distance_to_rim
 from clacad.base.types import Floats
 from clacad.formats.maps.sag import structured_faces
 from clacad.sheet.edge_columns import RADIUS, SENSE, X0, X1, Y0, Y1
-from clacad.sheet.face_order import lined_face
+from clacad.sheet.face_order import array_at, lined_face
 from clacad.sheet.lattice import Circle
 from clacad.sheet.need_window import need_equal_cells
 from clacad.sheet.plate import Plate
@@ -34,8 +34,12 @@ DIRECTIONS = 720
 
 def masked_faces(window: Window) -> list[tuple[Body, Face, str]]:
     """Faces with a mask each: the one that carries an opaque line, or all with lenses."""
-    faces, lined = structured_faces(window), lined_face(window)
-    return faces if lined is None else [one for one in faces if one[1] is lined]
+    number = window.land.lined
+    if number < 0:
+        return structured_faces(window)
+    body = window.bodies[number // 2]
+    side, face = (("front", body.front), ("back", body.back))[number % 2]
+    return [(body, face, f"{body.name}-{side}")]
 
 
 def aperture(window: Window, body: Body, face: Face) -> Floats:
@@ -46,10 +50,10 @@ def aperture(window: Window, body: Body, face: Face) -> Floats:
 
     Raises CellsDiffer: The sheet is non-uniform, and there are rims: each would have an outline of its own.
     """
-    assert face.array is not None
     if lined_face(window) is face:  # the line is the land of this face
-        return optical_tile(replace(window, land=replace(window.land, seam=window.land.line)), face.array)
-    zone = optical_tile(window, face.array)
+        like = replace(window, land=replace(window.land, seam=window.land.line))
+        return optical_tile(like, array_at(window, face))
+    zone = optical_tile(window, array_at(window, face))
     if body.front.change is not None or body.back.change is not None:
         _refuse_rims(window, body, face, zone)
         return zone
@@ -141,7 +145,6 @@ def write_svg(window: Window, body: Body, face: Face, label: str, path: Path, sc
     The picture shows the sheet as seen by light (from −z, +x to the left) if the face is a front face, and as
     seen from +z otherwise; the title states which.
     """
-    assert face.array is not None
     x0, x1, y0, y1 = (v * scale for v in whole_extent(window))
     mirror = face.side > 0
     view = (
@@ -211,10 +214,9 @@ def _dxf_loop(loop: Floats, scale: float) -> list[tuple[int, str]]:
 
 
 def _centres(window: Window, face: Face, scale: float) -> Iterator[tuple[float, float]]:
-    assert face.array is not None
     for j in range(window.lattice.count[1]):
         row = window.lattice.row(j)
-        for place in (window.centres(face.array, row) * scale + 0.0).tolist():
+        for place in (window.centres(array_at(window, face), row) * scale + 0.0).tolist():
             yield place[0], place[1]
 
 
@@ -288,7 +290,7 @@ def check_mask(window: Window, face: Face, svg: Path, dxf: Path, scale: float) -
         outlines.append(np.array(outline).reshape(-1, 2))
     if not np.array_equal(outlines[0], outlines[1]):
         raise FileDisagrees(f"{svg.name}: its lens outline is not that of {dxf.name}")
-    zone = np.abs(optical_tile(window, face.array or 0)).max(axis=0) * scale
+    zone = np.abs(optical_tile(window, array_at(window, face))).max(axis=0) * scale
     if len(outlines[0]) and (np.abs(outlines[0]).max(axis=0) > zone * (1 + 1e-9)).any():
         raise FileDisagrees(f"{svg.name}: the lens outline leaves its cell")
 

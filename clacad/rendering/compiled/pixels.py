@@ -278,7 +278,7 @@ def _surfaces(pane: Pane, m: int, pad: Pad, walk: Walk, state: Ints) -> None:
     launch_block(lattice, bodies[0], s, m)
     for i in range(m):
         walk.carried[i] = s[PATH, i]
-    array = straight(None, sheet, s, walk.chosen[:m], none, none, walk.carried)
+    array = straight(None, sheet, s, walk.chosen[:m], none, none, walk.carried, -1)
     face = sheet.faces[last]
     centres(lattice, s, m, array, lane(s, GX), lane(s, GY), face[slot.VX], face[slot.VY])
     top = bodies[len(bodies) - 1, slot.LEVEL] + face[slot.VZ]

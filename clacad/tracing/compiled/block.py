@@ -20,12 +20,16 @@ from clacad.tracing.compiled.records import Outcome
 ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)
 
 X, Y, Z, DX, DY, DZ, ROOT, PATH, GOOD, CI, CJ, CI0, CJ0, LEFT_X, LEFT_Y, GX, GY, GZ = range(18)
-SHARE, OVER, DEPTH, STEEP, HALF, AX, AY, SIZE, SCRATCH = range(18, 27)
+SHARE, OVER, DEPTH, STEEP, HALF, AX, AY, SIZE, MET = range(18, 27)
 """Transmitted light is SHARE/OVER; DEPTH sums attenuation times length, STEEP is attenuation/N; HALF numbers
 half bins.
 (AX, AY), SIZE: offset of the lens of a ray's cell from the face's vertex, and its scale factor, on
 non-uniform sheets.
+MET: first of the rows that keep the hits on the first face, which are those of every line of light.
 """
+
+KEPT = (X, Y, Z, DX, DY, DZ, ROOT, PATH, GOOD, CI, CJ)
+SCRATCH = MET + len(KEPT)
 
 RANGE = ROOT
 """Distances, where facets replace a smooth face."""
@@ -88,6 +92,16 @@ def copy_row(one: Floats, other: Floats, m: int) -> None:
     """Copy a row of any precision to another: a plain loop becomes vector moves, a slice does not."""
     for k in range(m):
         other[k] = one[k]
+
+
+@exact
+def keep_hits(s: Floats, m: int, back: bool) -> None:
+    """Keep the rows of a block as its rays meet the first face, or fetch them back."""
+    for k in range(len(KEPT)):
+        if back:
+            copy_row(lane(s, MET + k), lane(s, KEPT[k]), m)
+        else:
+            copy_row(lane(s, KEPT[k]), lane(s, MET + k), m)
 
 
 @exact
@@ -258,14 +272,17 @@ def _store_cells(i: Floats, j: Floats, column: Cells, first: int, m: int) -> Non
 
 @exact
 def blank_row(row: int, start: Floats, ray: Floats, out: Outcome) -> bool:
-    """Write a row as launched, MISSED or INVALID; return whether the ray can be launched."""
-    finite, zero = True, True
+    """Write a row as launched, MISSED or INVALID; return whether the ray can be launched.
+
+    Of several lines of light, the rows of each line follow those of the one before.
+    """
+    finite, zero, at = True, True, row % len(start)
     for c in range(3):
-        out.position[row, c], out.direction[row, c] = start[row, c], ray[row, c]
-        finite &= isfinite(start[row, c]) and isfinite(ray[row, c])
-        zero &= ray[row, c] == 0.0
+        out.position[row, c], out.direction[row, c] = start[at, c], ray[at, c]
+        finite &= isfinite(start[at, c]) and isfinite(ray[at, c])
+        zero &= ray[at, c] == 0.0
         for face in range(len(out.hits)):
-            out.hits[face, row, c], out.turns[face, row, c] = start[row, c], ray[row, c]
+            out.hits[face, row, c], out.turns[face, row, c] = start[at, c], ray[at, c]
     out.cell[row, 0], out.cell[row, 1], out.order[row, 0], out.order[row, 1] = (
         NO_CELL,
         NO_CELL,
@@ -275,7 +292,7 @@ def blank_row(row: int, start: Floats, ray: Floats, out: Outcome) -> bool:
     out.path[row], out.surface[row] = 0.0, NO_CELL
     sound = finite and not zero
     out.fate[row] = MISSED if sound else INVALID
-    return sound and ray[row, 2] > 0.0
+    return sound and ray[at, 2] > 0.0
 
 
 @exact

@@ -42,7 +42,7 @@ from clacad.tracing.compiled.block import (
     store_block,
 )
 from clacad.tracing.compiled.launch import launch_block, launch_ray
-from clacad.tracing.compiled.packing import Packed, in_single, pack, pack_own
+from clacad.tracing.compiled.packing import BICONIC, Packed, in_single, pack, pack_own
 from clacad.tracing.compiled.records import Outcome, Scratch, new_scratch
 from clacad.tracing.compiled.straight_path import straight
 from clacad.tracing.compiled.threads import CHUNK, in_arrays, over_threads
@@ -96,23 +96,36 @@ def _through_squares(
 def trace_chunk(
     tiles: Tiles | None, sheet: Packed, chosen: Rows, start: Floats, ray: Floats, out: Outcome
 ) -> int:
-    """Trace the rays `chosen` of `start` and `ray` (n, 3), write their rows, return how many were walked."""
-    s, carried = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK)
-    waiting, scratch = np.empty(WAITING + BLOCK, dtype=np.intp), new_scratch()
-    count, walked = 0, 0
+    """Trace the rays `chosen` of `start` and `ray` (n, 3), write their rows, return how many were walked.
+
+    Media of several lines of light follow one another, and so do the rows of the lines in `out`, n of each.
+    The launch, and the hits on a first quadric, are computed once for all lines.
+    """
+    s, carried, scratch = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK), new_scratch()
+    lines, media = len(sheet.media) // (len(sheet.faces) + 1), np.empty(len(sheet.faces) + 1)
+    faces, bodies, lat, losses = sheet.faces, sheet.bodies, sheet.lattice, sheet.losses
+    lit = Packed(faces, bodies, lat, sheet.rows, media, losses, sheet.edges, sheet.lattices, sheet.own)
+    waiting, counts = np.empty((lines, WAITING + BLOCK), dtype=np.intp), np.zeros(lines, dtype=np.intp)
+    rows, walked = np.empty(BLOCK, dtype=np.intp), 0
+    shared = lines > 1 and tiles is None and sheet.own is None and sheet.faces[0, BICONIC] == 0.0
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)
-        load_block(block, start, ray, s)
-        launch_block(sheet.lattice, sheet.bodies[0], s, m)
-        copy_row(lane(s, PATH), carried, m)
-        array = straight(tiles, sheet, s, block, out.hits, out.turns, carried)
-        store_block(sheet, s, block, array, out)
-        _share(sheet, s, block, out.turns)
-        count = queue_undecided(s, block, waiting, count)
-        if count >= WAITING or first + BLOCK >= len(chosen):
-            _walk(tiles, None, sheet, waiting[:count], start, ray, out, scratch)
-            walked, count = walked + count, 0
+        for line in range(lines):
+            media[:] = sheet.media[line * len(media) : (line + 1) * len(media)]
+            for k in range(m):
+                rows[k] = block[k] + line * len(start)
+            if line == 0 or not shared:
+                load_block(block, start, ray, s)
+                launch_block(lat, bodies[0], s, m)
+                copy_row(lane(s, PATH), carried, m)
+            array = straight(tiles, lit, s, rows[:m], out.hits, out.turns, carried, line if shared else -1)
+            store_block(lit, s, rows[:m], array, out)
+            _share(lit, s, rows[:m], out.turns)
+            counts[line] = queue_undecided(s, rows[:m], waiting[line], counts[line])
+            if counts[line] >= WAITING or first + BLOCK >= len(chosen):
+                _walk(tiles, None, lit, waiting[line, : counts[line]], start, ray, out, scratch)
+                walked, counts[line] = walked + counts[line], 0
     return walked
 
 
@@ -137,7 +150,7 @@ def straight_chunk_single(
         for row in LAUNCHED:
             copy_row(wide[row], s[row], m)
         copy_row(lane(s, PATH), carried, m)
-        array = straight(None, rounded, s, block, none, none, carried)
+        array = straight(None, rounded, s, block, none, none, carried, -1)
         for row in ARRIVED:
             copy_row(s[row], wide[row], m)
         store_block(sheet, wide, block, array, out)
@@ -181,7 +194,7 @@ def _walk(
             out.turns[share, row // 3, row % 3] = 1.0
         if not sound:
             continue
-        reaches, launched = launch_ray(sheet, start, ray, row)
+        reaches, launched = launch_ray(sheet, start, ray, row % len(start))
         if reaches:
             walk_ray(tiles, trees, sheet, launched, row, out, scratch)
             if counted:  # not known here: computed later from the ray's hits
@@ -202,7 +215,7 @@ def trace_compiled(
     rays: Rays,
     ledger: Ledger,
     rows: Rows | range,
-    media: Sequence[float],
+    media: Sequence[float] | Floats,
     threads: int,
     facets: Tiles | Triangles | None = None,
     single: bool = False,
@@ -212,7 +225,7 @@ def trace_compiled(
     `reference.surfaces.trace_surfaces`.
 
     rows : a range costs less than the equivalent array; of a ledger without hits
-    media, losses : see `Packed`
+    media, losses : see `Packed`; media of several lines of light end to end, and the ledger's rows likewise
     facets : a mesh's own tiles, or triangles from any source, in place of the smooth faces
     single : the straight path in single precision; rays for which it does not hold are traced in double
     """

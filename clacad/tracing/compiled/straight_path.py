@@ -56,6 +56,7 @@ from clacad.tracing.compiled.block import (
     centres,
     copy_row,
     hold_in_zone,
+    keep_hits,
     lane,
     lanes,
 )
@@ -332,7 +333,15 @@ def _between(face: Floats, other: Floats, s: Floats, m: int, sign: float) -> Non
 
 @exact
 def _cross(
-    own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int, media: Media, climb: float, offset: Vector
+    own: OwnCells | None,
+    sheet: Packed,
+    f: int,
+    s: Floats,
+    m: int,
+    media: Media,
+    climb: float,
+    offset: Vector,
+    line: int,
 ) -> None:
     """Cross one face; positions plus the offset are relative to its vertex, afterwards without the offset.
 
@@ -352,10 +361,14 @@ def _cross(
     if within and plain and lat[slot.HEXAGONAL] == 0.0:
         hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
     if turned:
-        _turn_in(face, s, m, offset)
+        if f or line <= 0:
+            _turn_in(face, s, m, offset)
         offset, lowest = (0.0, 0.0, 0.0), -2.0
     if quadric:
-        _meet_quadric(face, s, m, media[0], offset)
+        if f or line <= 0:
+            _meet_quadric(face, s, m, media[0], offset)
+        if f == 0 and line == 0:
+            keep_hits(s, m, False)
         _refract_quadric(face, s, m, media, lowest, hx, hy)
     else:
         _meet_biconic(faces, f, s, m, media, offset)
@@ -590,18 +603,64 @@ def _past_joint(
         _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
 
 
+@inlined
+def _begin(s: Floats, m: int, counted: bool, line: int) -> None:
+    """Nothing is lost yet; of a further line of light, fetch the hits on the first face."""
+    for i in range(m if counted else 0):
+        s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
+    if line > 0:
+        keep_hits(s, m, True)
+
+
+@inlined
+def _leave_body(lat: Floats, s: Floats, m: int, ox: float, oy: float) -> None:
+    """Remember where rays leave a body before a honeycomb."""
+    if lat[slot.BAFFLE] != slot.NO_BAFFLE:
+        for i in range(m):
+            s[LEFT_X, i], s[LEFT_Y, i] = s[X, i] + ox, s[Y, i] + oy
+
+
+@inlined
+def _least_climb(face: Floats, other: Floats, columnar: bool) -> float:
+    """Least climb of rays that pass a face: steeper than the lenses."""
+    if face[slot.ARRAY] < 0.0:
+        return 0.0
+    climb: float = max(face[slot.CLIMB], other[slot.CLIMB]) if columnar else 1.0 * face[slot.CLIMB]
+    return climb
+
+
+@inlined
+def _hold_before(
+    sheet: Packed, f: int, gone: int, array: int, s: Floats, m: int, ox: float, oy: float, carried: Floats
+) -> None:
+    """Require that the way to a face just crossed was open: ahead of the start, through the honeycomb."""
+    if sheet.bodies[f // 2, slot.COLUMNAR] == 0.0:
+        _in_inner(sheet.bodies[f // 2], sheet.lattices[array], s, m, array, ox, oy)
+    if f == 0:
+        _start_ahead(s, m, carried)
+    if f > 1 and f % 2 == 0 and sheet.lattice[slot.BAFFLE] != slot.NO_BAFFLE:
+        _open_baffle(sheet, f, gone, array, s, m)
+
+
 @exact
 def straight(
-    tiles: Tiles | None, sheet: Packed, s: Floats, chosen: Rows, hits: Floats, turns: Floats, carried: Floats
+    tiles: Tiles | None,
+    sheet: Packed,
+    s: Floats,
+    chosen: Rows,
+    hits: Floats,
+    turns: Floats,
+    carried: Floats,
+    line: int,
 ) -> int:
     """Trace a launched block straight through every face; return the array its cells refer to at the end.
 
     Positions are relative to the face last crossed. Counted losses (`Packed.losses`) are in SHARE and DEPTH.
+    line : Of several lines of light whose first hits are shared, the number of this one; −1: of one alone.
     """
     faces, bodies, lat, own = sheet.faces, sheet.bodies, sheet.lattice, sheet.own
     m, array, gone, met, counted = len(chosen), 0, 0, 0, len(sheet.losses) > 0
-    for i in range(m if counted else 0):
-        s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
+    _begin(s, m, counted, line)
     ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level
     for b in range(len(bodies)):
         body, columnar = bodies[b], bodies[b, slot.COLUMNAR] != 0.0
@@ -612,9 +671,7 @@ def straight(
         if b:
             oz -= body[slot.LEVEL] - bodies[b - 1, slot.LEVEL]
             gone = array
-            if lat[slot.BAFFLE] != slot.NO_BAFFLE:
-                for i in range(m):
-                    s[LEFT_X, i], s[LEFT_Y, i] = s[X, i] + ox, s[Y, i] + oy
+            _leave_body(lat, s, m, ox, oy)
         for side in range(2):
             f = 2 * b + side
             face, other = faces[f], faces[2 * b + 1 - side]
@@ -624,7 +681,8 @@ def straight(
                 _past_joint(sheet, f, s, array, chosen, oz, hits, turns)
                 continue
             if structured and (side == 0 or not columnar):
-                _enter_array(sheet, f, s, m, media[0], array, (ox, oy, oz))
+                if f or line <= 0:
+                    _enter_array(sheet, f, s, m, media[0], array, (ox, oy, oz))
                 if f > 0:
                     array, ox, oy, oz = int(face[slot.ARRAY]), 0.0, 0.0, 0.0
                 if met == 0:
@@ -632,9 +690,7 @@ def straight(
                     copy_row(lane(s, CJ), lane(s, CJ0), m)
                 elif array == FIELD:
                     _same_cell(s, m)
-            climb = 0.0
-            if structured:
-                climb = max(face[slot.CLIMB], other[slot.CLIMB]) if columnar else face[slot.CLIMB]
+            climb = _least_climb(face, other, columnar)
             vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
             if tiles is not None:
                 cross_facets(tiles, faces, f, s, m, media, climb, (ox, oy, oz))
@@ -642,18 +698,13 @@ def straight(
                     hold_in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
             else:
                 _into_lens(own, sheet, f, s, m, (ox - vx, oy - vy, oz - vz))
-                _cross(own, sheet, f, s, m, media, climb, (ox - vx, oy - vy, oz - vz))
+                _cross(own, sheet, f, s, m, media, climb, (ox - vx, oy - vy, oz - vz), line)
             _leave(sheet, f, s, m, media, tiles is not None)
             ox, oy, oz = vx, vy, vz
             if structured:
                 met += 1
                 _stay_inside(sheet, f, s, m, tiles is not None, (vx, vy, vz))
-            if not columnar:
-                _in_inner(body, sheet.lattices[array], s, m, array, ox, oy)
-            if f == 0:
-                _start_ahead(s, m, carried)
-            if b and side == 0 and lat[slot.BAFFLE] != slot.NO_BAFFLE:
-                _open_baffle(sheet, f, gone, array, s, m)
+            _hold_before(sheet, f, gone, array, s, m, ox, oy, carried)
             if len(hits) and not counted:
                 _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])
         if columnar:

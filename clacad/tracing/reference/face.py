@@ -9,10 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clacad.base.types import Bools, Floats, Ints
+from clacad.base.types import Bools, Floats
 from clacad.optics.sequence import to_sheet, to_surface
 from clacad.optics.surface import Quadric, Surface, gradient, meet_at, refract
 from clacad.sheet.cell_places import LensPlaces
+from clacad.sheet.face_order import lined_array
 from clacad.sheet.plate_edges import nearest_edges
 from clacad.sheet.window import IDENTITY, Face, heights_of_lenses
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout
@@ -133,10 +134,13 @@ def in_zone(layout: Layout, local: Floats, margin: float, array: int = 0) -> Boo
     return inside
 
 
-def on_line(layout: Layout, array: int, cell: Ints, local: Floats) -> Bools:
-    """Which points (m, 2) of the cell frames of an array lie on the opaque line around kept cells."""
-    margin = 0.5 * layout.window.land.line
-    return np.asarray(layout.lattice.contains(cell) & ~in_zone(layout, local, margin, array))
+def on_line(layout: Layout, xy: Floats) -> Bools:
+    """Which sheet points (m, 2) of the face with the opaque line lie on the line around kept cells."""
+    array = lined_array(layout.window)
+    place = xy - np.asarray(layout.window.shifts[array])
+    cell, *local = layout.lattices[array].locate(place[:, 0], place[:, 1])
+    zone = in_zone(layout, np.stack(local, axis=1), 0.5 * layout.window.land.line, array)
+    return np.asarray(layout.lattice.contains(cell) & ~zone)
 
 
 def in_footprint(body: BodyPlan, xy: Floats, kept: Bools) -> Bools:

@@ -325,7 +325,7 @@ def _stops(layout: Layout, patch: ThinPatch, met: Met) -> Bools:
     opaque = met.land & met.solid & layout.window.land.opaque
     if lined_array(layout.window) != patch.array:
         return opaque
-    return opaque | (met.lens | met.solid) & on_line(layout, patch.array, met.beam.cell, met.beam.local)
+    return opaque | (met.lens | met.solid) & on_line(layout, _position(layout, patch, met.beam)[:, :2])
 
 
 def _leave(layout: Layout, ledger: Ledger, patch: ThinPatch, gone: Passed, two: Met, path: Floats) -> None:

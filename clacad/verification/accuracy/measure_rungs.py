@@ -160,26 +160,21 @@ def reference(ladder: TracedRays, count: int = ORACLE_RAYS) -> dict[str, float]:
 
 def spectrum_cost(design: Design, cell: SeenCell, lit: Bundle) -> SpectrumCost | None:
     """Time a bundle in one line and in all lines of a design; None where it has no colour."""
+    from clacad.tracing.trace import SheetTracer
+
     lines, law = lines_of(design, cell.like), RequestedLaw.of(cell.like)
     if not lines:
         return None
 
-    def send(one: Bundle) -> TraceResult:
-        from clacad.tracing.trace import trace
+    rays, tracer = cell.placed(lit).rays, SheetTracer(cell.window, path="numba")
 
-        return trace(cell.window, cell.placed(one).rays, path="numba")
+    def send(*waves: float) -> None:
+        for _ in tracer.in_lines(rays, waves):
+            pass  # rows of a piece are freed before the next: pages of new memory cost a fifth of a line
 
-    each = [replace(lit, rays=Rays(lit.rays.position, lit.rays.direction, wave)) for wave in lines]
-
-    def send_each() -> None:
-        for (
-            one
-        ) in each:  # rows of a line are freed before the next: pages of new memory cost a fifth of a line
-            send(one)
-
-    _, one_line, _ = timed(lambda: send(each[0]))
-    _, traced, _ = timed(send_each)
-    base, light = measure(send, lit, law), measure(send, lit, law, lines)
+    _, one_line, _ = timed(lambda: send(*[*lines][:1]))
+    _, traced, _ = timed(lambda: send(*lines))
+    base, light = measure(cell, lit, law), measure(cell, lit, law, lines)
     own = first_rays(base, ORACLE_RAYS)
     closed, closed_seconds, _ = timed(
         lambda: [closed_change(cell.like, in_light(cell.like, wave), own) for wave in lines]
