@@ -176,6 +176,7 @@ def _step_points(of: FaceFile) -> Floats:
     from clacad.storage.atomic import scratch_folder
 
     fine = STEP_FINE * min(of.window.lattice.pitch) * millimetres(of.window.unit)
+    fine *= max(1.0, of.window.lattice.cell_count / FINE_CELLS)  # facets in all stay as many
     with scratch_folder() as folder, reading_worker(of.path) as worker:
         target = folder / "insert.stl"
         worker.run(
@@ -230,9 +231,9 @@ def _insert_heights(of: FaceFile) -> Floats:
     return np.stack([x, y, heights[rows, columns] + map_.reference], axis=1)
 
 
-STEP_FINE, INSIDE = 1e-4, 0.6
-"""Distance of the facets through which a STEP file is sampled, in pitches; height over the block's that is
-searched for the cavity."""
+STEP_FINE, FINE_CELLS, INSIDE = 1e-4, 2000, 0.6
+"""Distance of the facets through which a STEP file is sampled, in pitches, of at most so many cells; height
+over the block's that is searched for the cavity."""
 
 # -- tool points -----------------------------------------------------------------------------------
 
