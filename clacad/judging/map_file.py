@@ -223,7 +223,7 @@ DEGREE, GRID = 8, 33
 CUT_FROM = (
     "facets of an insert are judged by their shape: where they are too coarse, cut from the STEP or the map"
 )
-"""Said of light through the facets of an insert."""
+"""Added to the checks of light through the facets of an insert."""
 
 CLOSE = 20.0
 """Deviation, over the room, up to which a wrong file counts as explained."""

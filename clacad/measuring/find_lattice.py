@@ -175,7 +175,7 @@ def _factor(across: float) -> str:
 
 
 def means(u: Floats, v: Floats, z: Floats) -> tuple[Floats, Bools]:
-    """Mean (rows, columns) of heights over unit squares from 0 on, 0 where there are none; where any are."""
+    """Mean (rows, columns) of heights over unit squares from 0, 0 where none is; where any is."""
     column, row = (np.floor(at + 1e-6).astype(np.int64) for at in (u, v))
     shape = int(row.max()) + 1, int(column.max()) + 1
     flat, most = row * shape[1] + column, shape[0] * shape[1]

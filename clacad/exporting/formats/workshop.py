@@ -232,8 +232,8 @@ def _insert_heights(of: FaceFile) -> Floats:
 
 
 STEP_FINE, FINE_CELLS, INSIDE = 1e-4, 2000, 0.6
-"""Distance of the facets through which a STEP file is sampled, in pitches, of at most so many cells; height
-over the block's that is searched for the cavity."""
+"""Distance of the facets through which a STEP file is sampled, in pitches, up to that number of cells;
+height over the block's that is searched for the cavity."""
 
 # -- tool points -----------------------------------------------------------------------------------
 
