@@ -309,7 +309,7 @@ class TableFile:
         return np.where(missing[..., None], (0.0, 0.0, *(self.eta[ETAS[name][0]] for name in names)), made)
 
     def _has_lens(self, eta: Floats, name: str) -> Bools:
-        """Whether each η (...) gives lenses with the signs of the law's lenses, or each δ is not too large."""
+        """Whether each η (...) gives lenses of the law's signs, or each δ is not too large."""
         if name not in ETAS:
             return np.asarray(np.abs(eta) <= LARGEST)  # False for NaN
         low, high = _eta_range(self.eta[axis] for axis in ETAS[name])
