@@ -369,7 +369,7 @@ def made_surface(
     """
     made = MadeSurface(window, face, process, depths)
     nose, unit = process.nose / window.unit, 1e6 * window.unit
-    if nose and face.array is not None and face.land is not None:
+    if nose and window.land.seam > 0.0 and face.array is not None and face.land is not None:
         _refuse_land(window, face, nose, process.cut_as_insert)
     if nose and not made.convex and np.isfinite(made.lens.sharpest) and nose >= abs(made.lens.sharpest):
         cut = "insert of a face" if process.cut_as_insert else "concave face"
