@@ -74,6 +74,7 @@ def test_columns_hold_the_numbers_of_the_result(results):
     assert results["sweep"].to_columns()["law.eta.0"] == [-1, -2]
 
 
+@pytest.mark.slow
 def test_a_check_is_a_short_table_with_its_verdict_last(design, results, monkeypatch):
     monkeypatch.setattr("clacad.advice.hints.TRIALS", 2)
     first, *_, last = repr(results["check"]).splitlines()
@@ -83,6 +84,7 @@ def test_a_check_is_a_short_table_with_its_verdict_last(design, results, monkeyp
     assert "verify will fail: law_rms" in bad.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_axes_of_a_sweep_may_be_texts(design, results):
     again = clacad.sweep(design, ["law.eta.0=-1,-2"], 64, Farm(1))
     assert again.to_columns()["law_rms"] == results["sweep"].to_columns()["law_rms"]

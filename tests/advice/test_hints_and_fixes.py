@@ -133,6 +133,7 @@ def test_a_name_that_is_taken_is_refused_before_anything_is_tried(too_close, tmp
     capsys.readouterr()
 
 
+@pytest.mark.slow
 def test_where_nothing_passes_the_limits_that_bind_are_named_and_nothing_is_written(
     too_close, tmp_path, monkeypatch, capsys
 ):

@@ -19,6 +19,7 @@ WISH = read_wish(
 LENSES = Variant("plano", "outside", -0.869, eye="field lens")
 
 
+@pytest.mark.slow
 def test_a_moulded_window_with_field_lenses_in_a_plate_with_holes_serves_its_eye():
     judged = judge(built(WISH, LENSES, 0.47, 8.1, "window"))
     assert judged.passes

@@ -259,6 +259,7 @@ def test_the_command_says_what_two_and_three_sheets_can_and_writes_the_scene(tmp
     assert main([*line, "elsewhere/far/cloak.toml"]) == 2
 
 
+@pytest.mark.slow
 def test_the_command_gives_the_numbers_as_json(capsys):
     assert main([*LINE, "--for", "space=-100 mm", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -39,6 +39,7 @@ def test_the_error_by_the_petzval_number_keeps_when_all_lengths_grow():
     assert found[0][0] == pytest.approx(0.059 * found[0][1] * tan(radians(10.0)) ** 2, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_form_with_fewest_plates_that_is_not_hopeless_is_chosen_and_the_others_are_named():
     easy = design_for(WORDS | {"error": "2 mrad"}, progress=silent)
     assert len(prescribe(easy.design).bodies) == 2

@@ -186,6 +186,7 @@ def test_cells_fill_the_width_or_it_is_said():
     assert found == ["width: requested 40 mm, 6 x 6.4 = 38.4 mm"]
 
 
+@pytest.mark.slow
 def test_a_wished_field_beyond_the_field_of_view_is_reported_as_not_met():
     """A slab of s = 12 p serves slopes up to p/s = 0.083, 4.8 deg from the normal."""
     for field, told in (("4 deg", 0), ("10 deg", 1)):
@@ -338,6 +339,7 @@ def test_a_search_ends_by_the_work_done_and_not_by_the_clock(monkeypatch):
     assert len(ended[0].tried) <= 2
 
 
+@pytest.mark.slow
 def test_a_judged_non_uniform_sheet_counts_as_several():
     """A pitch of array 2 of its own: with work for one such judgement, one design is judged."""
     wish = read_wish({"eta": -1, "width": 5, "form": "slab", "process": "moulding"})
@@ -387,6 +389,7 @@ def test_the_list_groups_the_designs_of_the_paper_and_says_what_differs(tmp_path
     assert any("law.euler = [26.57, 0.0, 0.0]" in line for line in under)
 
 
+@pytest.mark.slow
 def test_the_commands_named_next_are_complete(tmp_path):
     """Each of them runs as it is printed: where files are written, -o is stated."""
     said = clacad("new", "w", "--template", "slab", cwd=tmp_path).out.partition("next: ")[2].splitlines()
@@ -447,6 +450,7 @@ def test_what_cannot_be_written_is_said_and_nothing_is(tmp_path, words, status, 
     assert not list(tmp_path.rglob("*.toml"))
 
 
+@pytest.mark.slow
 def test_a_file_that_is_there_is_refused_before_the_search(tmp_path):
     (tmp_path / "w.toml").write_text("mine")
     ended = clacad("new", "w", "--for", ROUND, cwd=tmp_path)
@@ -499,6 +503,7 @@ def test_a_wish_for_white_light_finds_layers_and_says_what_they_cost():
     assert read_wish(found.wish.words()) == found.wish
 
 
+@pytest.mark.slow
 def test_what_one_material_leaves_of_white_light_is_the_floor_of_the_traced_sheet():
     wish = read_wish({"eta": -1, "width": 20, "white": "1 mrad"})
     design = built(wish, Variant("slab", conic=-0.448), 0.25, 57.29, "far")

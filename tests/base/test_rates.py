@@ -238,6 +238,7 @@ def test_what_was_noted_changes_forecasts_and_no_byte_that_is_written(cache, tmp
     assert second[1] > 100.0 * first[1]
 
 
+@pytest.mark.slow
 def test_an_export_notes_what_its_formats_took(cache, tmp_path):
     import clacad
 

@@ -14,6 +14,7 @@ from clacad.sheet.window import lens_height, lens_height_and_normal
 DESIGN = Path(__file__).parents[2] / "designs" / "paper-a-covered.toml"
 
 
+@pytest.mark.slow
 def test_check_loads_neither_kernel_nor_effects_nor_network():
     ended = running.clacad("check", DESIGN, "-q")
     assert ended.status in (0, 1)

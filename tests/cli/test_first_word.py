@@ -74,6 +74,7 @@ def test_the_report_of_the_design_comes_before_a_file_is_read(tmp_path: Path):
     assert last.word == "failed"
 
 
+@pytest.mark.slow
 def test_files_are_listed_without_their_hashes_and_hashed_once(tmp_path: Path):
     clacad.export(Design.from_dict(TEXT), tmp_path, formats=["stl", "table"], quads=4)
     listed = list_files(tmp_path)
@@ -102,6 +103,7 @@ def test_the_rough_forecast_takes_a_preview_for_coarse():
     assert coarse.middle < 0.5 * fine.middle
 
 
+@pytest.mark.slow
 def test_verifying_instances_is_forecast_by_the_facets_in_the_file(tmp_path: Path):
     design = Design.from_dict(TEXT | {"lattice": {"pitch": 0.5, "count": [50, 50]}})
     clacad.export(design, tmp_path, formats=["3mf"], quads=8)
@@ -139,6 +141,7 @@ def test_what_is_left_is_longer_on_a_busy_machine_and_a_forecast_that_was_short_
     assert progress._left(wall[0]) == ""  # the same number of seconds twice is no news
 
 
+@pytest.mark.slow
 def test_a_stage_that_says_nothing_of_itself_is_said_again_until_the_end(monkeypatch, capsys):
     monkeypatch.setattr(console, "AGAIN_IN_LOG", 0.05)
     progress = Progress(after=0.0)

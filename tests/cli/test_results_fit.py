@@ -105,6 +105,16 @@ def test_a_result_of_another_design_fits(words: str, design: str, folder: Path, 
     fits(result(capsys, *words.replace("slab.toml", f"{design}.toml").split(), status=int(failed)))
 
 
+@pytest.mark.daily_cases(
+    "explain",
+    "explain law_rms",
+    "explain diamond-turning",
+    "explain combinations",
+    "new --list",
+    "wave slab.toml --dry-run",
+    "optimise slab.toml --dry-run",
+    "trace slab.toml rays.npz -o out.npz",
+)
 @pytest.mark.parametrize("words", [*COMMANDS, *(pytest.param(one, marks=pytest.mark.slow) for one in SLOW)])
 def test_a_result_fits_and_all_has_the_rest(words: str, folder: Path, capsys) -> None:
     brief = result(capsys, *words.split())
@@ -119,6 +129,7 @@ def test_a_result_fits_and_all_has_the_rest(words: str, folder: Path, capsys) ->
     assert "--all" not in whole
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("design", ["slab", "failing", pytest.param("round", marks=pytest.mark.slow)])
 def test_check_begins_and_ends_with_the_verdict(design: str, folder: Path, capsys, monkeypatch) -> None:
     monkeypatch.setattr("clacad.advice.hints.TRIALS", 2)
@@ -136,6 +147,7 @@ def test_check_begins_and_ends_with_the_verdict(design: str, folder: Path, capsy
     assert ("--fix" in following) == bool(status)
 
 
+@pytest.mark.slow
 def test_a_calibration_fits(folder: Path, capsys) -> None:
     np.save(folder / "wedge.npy", scanned(0.01))
     (folder / "wedge.npy.json").write_text('{"pixel_um": 4, "z_step_um": 1e6, "row_0": "bottom"}')
@@ -263,6 +275,7 @@ def test_any_text_is_clipped(monkeypatch) -> None:
     assert clipped("") == ""
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_and_no_colour(folder: Path) -> None:
     command = f"{sys.executable} -m clacad explain | true; echo ${{PIPESTATUS[0]}}"
     ended = subprocess.run(

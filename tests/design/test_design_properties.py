@@ -100,6 +100,7 @@ def no_line_is_invented(error, text):
     assert all(line.isprintable() for line in str(error).split("\n"))
 
 
+@pytest.mark.slow
 @QUIET
 @given(mutated())
 def test_a_mutated_dictionary_is_a_design_or_a_design_error(data):

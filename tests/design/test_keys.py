@@ -176,6 +176,7 @@ LEFT_NAMES = {
 """Names of keys that several modules contain, most as the id of a check or a field of a report; each number may only fall."""
 
 
+@pytest.mark.slow
 def test_paths_of_keys_are_taken_from_the_keys():
     """`PAIR.separation`, never its text: a key that is renamed is renamed in one place."""
     assert paths_in_modules() == {}

@@ -680,6 +680,7 @@ def test_light_at_walls_goes_on_or_ends_but_never_twice():
     assert (np.abs(out.direction[on] - bare.direction[on]).max(axis=1) > 1e-6).any()
 
 
+@pytest.mark.slow
 def test_total_reflection_loses_no_light():
     """Steep light into a slab: what TIR held back comes out somewhere, or is counted as cut."""
     sheet = window("slab")
@@ -762,6 +763,7 @@ def test_compiled_split_paths_carry_the_light_of_the_walked_ones(name, setting):
     assert spread[1] == pytest.approx(spread[0], rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "lattice",
     [{"kind": "square", "count": [3, 3]}, {"kind": "square", "count": [5, 5], "outline": {"circle": 2.6}},

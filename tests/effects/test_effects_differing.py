@@ -111,6 +111,7 @@ def test_light_split_at_lenses_goes_the_ways_of_a_sheet_of_cells_like_it(kind):
     assert abs(len(back) - len(there)) <= 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ALL)
 def test_no_light_is_lost_on_any_way_through_cells_that_differ(kind):
     window = built(kind)
@@ -162,6 +163,7 @@ def test_shares_of_all_orders_are_what_thin_lenses_let_through(kind):
     assert (traced.fate <= Fate.GHOST).mean() > 0.99
 
 
+@pytest.mark.slow
 def test_a_plan_is_bounded_on_the_worst_of_cells_tried_and_says_so():
     design = design_of("aimed")
     plan = plan_effects(design)

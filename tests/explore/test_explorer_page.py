@@ -74,6 +74,7 @@ MOVED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", everyday("hexagonal", others=[n for n in MOVED if n != "hexagonal"]))
 def test_verdict_is_what_the_closed_forms_give_of_the_design_handed_out(chromium, tmp_path, name):
     """Reference: the sheet's own closed forms, of the window built from the page's TOML."""
@@ -138,6 +139,7 @@ def test_the_field_lens_is_in_the_design_file_that_check_reads(chromium, tmp_pat
     assert again.design().sha256 == design.replace("pair.field_lens", False).sha256
 
 
+@pytest.mark.slow
 def test_given_faces_stay_until_what_they_are_for_is_moved(chromium, tmp_path):
     """A slab of paraboloids; turned or of other cells they do as well, of another law they do not."""
     made = shipped("window-100mm").replace(
@@ -234,6 +236,7 @@ def test_a_spoilt_link_gives_a_page_within_its_ranges(page, link):
 # -- markup in a design cannot act -----------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_markup_in_a_design_stays_text(chromium, tmp_path):
     evil = "</title></script><script>window.broken = 1</script><img src=x onerror='window.broken = 1'>\"'&"
     design = replace(Design.from_dict({**SLAB, "notes": [evil]}), name="evil")
@@ -252,6 +255,7 @@ def test_markup_in_a_design_stays_text(chromium, tmp_path):
 # -- field lens ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eta", everyday([-0.25, -1.0], others=([-1.0, -1.0], [-2.0, -0.5])))
 def test_with_a_field_lens_light_goes_where_the_closed_form_has_it(chromium, tmp_path, eta):
     """Closed form: u = ηξ + m p(1 − η) behind field lens m; share min(1, 1/|η|) for |t| < p(1 − η)/(2s); t' = (t − δ)/η in the partner."""
@@ -423,6 +427,7 @@ def test_without_webgl_it_says_so_and_the_rest_works(tmp_path):
 # -- non-uniform sheets ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("field", everyday(False, others=(True,)))
 def test_an_aimed_sheet_is_seen_evenly_from_where_it_is_aimed(chromium, tmp_path, field):
     """Light of the point that a sheet is aimed at meets each partner as light along the middle of the field does."""
@@ -446,6 +451,7 @@ def test_an_aimed_sheet_is_seen_evenly_from_where_it_is_aimed(chromium, tmp_path
     assert field or aligned.verdict()["share_from_eye"] < 0.9 * told["share_from_eye"]
 
 
+@pytest.mark.slow
 def test_a_point_too_near_to_aim_at_is_said_before_a_design_is_copied(chromium, tmp_path):
     made = shipped("slab").replace(
         {"lattice.count": [20, 20], "lattice.aperture": {"point": [0.0, 0.0, -200.0]}}

@@ -91,6 +91,7 @@ def test_a_thousand_pixels_agree_with_rung_thin_in_slope_cell_and_fate(chromium,
     assert np.abs(slope - asked)[shown].max() <= QUANTUM
 
 
+@pytest.mark.slow
 def test_an_own_photograph_stands_behind_the_sheet_and_nothing_is_requested(chromium, tmp_path):
     """A picture of two colours, twice as wide as high, seen through a sheet of magnification 1."""
     page = Page(chromium, tmp_path, shipped("paper-a-covered"))
@@ -126,6 +127,7 @@ def test_every_number_is_explained_on_hover_and_focus(chromium, tmp_path):
     assert explained == ["none", "block", True, True]
 
 
+@pytest.mark.slow
 def test_the_colour_switch_turns_blue_light_as_real_faces_do(chromium, tmp_path):
     """Change of slope from the design wavelength to 464.2 nm, of the slab's own faces and of the page's lenses."""
     page = Page(chromium, tmp_path, shipped("window-100mm"))

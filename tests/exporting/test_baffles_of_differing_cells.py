@@ -124,6 +124,7 @@ def test_light_meets_a_wall_where_it_first_leaves_the_section_of_its_channel(nam
     assert share[stopped] == pytest.approx(first[stopped], abs=1.001e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["plano", "biconvex"])
 @pytest.mark.parametrize("name", ["aimed", pytest.param("other pitches", marks=pytest.mark.slow)])
 def test_kernels_stop_the_same_light(name, form):
@@ -135,6 +136,7 @@ def test_kernels_stop_the_same_light(name, form):
         assert np.nanmax(np.abs(one.position - other.position)) < 1e-12
 
 
+@pytest.mark.slow
 def test_kernels_stop_light_before_the_plane_face_of_a_displaced_array():
     keys = BASE | {
         "lattice": BASE["lattice"] | {"aperture": [0.02, 0.01]},

@@ -32,6 +32,7 @@ def few(name: str, cells: int = 3) -> clacad.Design:
     return clacad.load(DESIGNS / f"{name}.toml").with_cells((cells, cells))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["slab", pytest.param("paper-a-covered", marks=pytest.mark.slow)])
 def test_check_and_export_foresee_the_same_facets_and_light_within_the_limits(name):
     design = clacad.load(DESIGNS / f"{name}.toml")
@@ -57,6 +58,7 @@ def test_a_mesh_without_room_for_a_master_is_a_declared_preview_and_its_delivery
     assert verify(design, tmp_path, rays=2000).exit_status == 0
 
 
+@pytest.mark.slow
 def test_facets_that_were_asked_for_leave_the_role_to_the_light(tmp_path):
     rows = forecast_rows(few("slab", 2), Request(("stl",), quads={"stl": 8}))
     assert (rows[0].prospect.role, rows[0].prospect.declared) == (Role.PREVIEW, False)

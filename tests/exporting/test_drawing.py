@@ -129,6 +129,7 @@ def test_a_drawn_plate_has_the_box_holes_corners_and_bends_of_its_step_file(tmp_
     assert corners[7] == "outwards, R 1"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="pdftotext is not installed")
 def test_the_text_of_the_pdf_holds_sizes_tolerances_radii_conics_and_sags(tmp_path):
     design = part("tilted-biconvex", (3, 2))

@@ -86,6 +86,7 @@ def test_the_exact_solids_come_out_with_the_integral_as_their_volume(tmp_path: P
     assert entry["volume"] == pytest.approx(entry["volume_exact"], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_manifest_says_what_was_written_and_nothing_about_the_machine(tmp_path: Path) -> None:
     made = design()
     manifest = export(made, tmp_path / "out", formats=("stl", "table"), quads=4, cells=CELLS)
@@ -115,6 +116,7 @@ def test_the_manifest_says_what_was_written_and_nothing_about_the_machine(tmp_pa
     assert json.loads((tmp_path / "out" / "run.json").read_text())["seconds"]["stl"] > 0
 
 
+@pytest.mark.slow
 def test_metres_become_millimetres_on_the_way_out(tmp_path: Path) -> None:
     """The paper's design is in metres, its files in millimetres, GLB in metres again."""
     manifest = export(design(), tmp_path, formats=MESHES, quads=4, cells=CELLS)
@@ -125,6 +127,7 @@ def test_metres_become_millimetres_on_the_way_out(tmp_path: Path) -> None:
         np.testing.assert_allclose((high - low)[:2] * mesh.unit, [0.020, 0.015], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_each_body_can_have_a_file_of_its_own(tmp_path: Path) -> None:
     manifest = export(design(), tmp_path, formats=("stl-parts",), quads=4, cells=CELLS)
     assert [e["bodies"] for e in manifest.files] == [["array1"], ["array2"]]
@@ -251,6 +254,7 @@ def test_same_design_and_options_give_the_same_bytes_in_every_format(tmp_path: P
     assert one == two
 
 
+@pytest.mark.slow
 def test_writing_again_changes_nothing_and_other_formats_join_the_set(tmp_path: Path) -> None:
     made = design()
     first = export(made, tmp_path, formats=("stl",), quads=4, cells=CELLS)
@@ -315,6 +319,7 @@ def test_an_unreachable_slope_error_is_refused(tmp_path: Path) -> None:
         export(design(), tmp_path, formats=("stl",), slope_error=1e-3)
 
 
+@pytest.mark.slow
 def test_a_slope_error_is_met(tmp_path: Path) -> None:
     manifest = export(design(), tmp_path, formats=("stl",), slope_error=0.02, cells=(2, 2))
     assert 0.01 < manifest.files[0]["slope_error_rms"] <= 0.02

@@ -132,6 +132,7 @@ def test_instances_of_a_glb_stand_where_its_nodes_do_and_take_less_room(tmp_path
     assert document["accessors"][use["TRANSLATION"]]["count"] == 63
 
 
+@pytest.mark.slow
 def test_instances_that_are_turned_are_not_read(tmp_path: Path) -> None:
     manifest = export(
         small("slab", "lattice.seam=0.02"), tmp_path / "x", ("glb",), quads=4, gpu_instancing=True
@@ -269,6 +270,7 @@ def test_the_command_line_and_the_function_ask_for_what_is_declared() -> None:
     assert set(typed) - set(OPTIONS) == own
 
 
+@pytest.mark.slow
 def test_light_of_a_file_as_made_is_forecast_of_the_made_sheet_which_is_prescribed_once(
     tmp_path, monkeypatch
 ) -> None:

@@ -85,6 +85,7 @@ def test_light_through_facets_is_forecast_as_the_kernels_of_rung_mesh_trace_the_
         )
 
 
+@pytest.mark.slow
 def test_the_formula_tells_fine_grids_from_coarse_ones():
     """Rms angular error of the facets: 2.99 mrad measured at 128 quads, 2.75 at 256, from 1.38 · 128/256 and 2.65 of the exact surfaces."""
     grader = grader_of("paper-a-covered")
@@ -93,6 +94,7 @@ def test_the_formula_tells_fine_grids_from_coarse_ones():
     assert grader.foreseen() == 256
 
 
+@pytest.mark.slow
 def test_heights_in_steps_make_fine_facets_worse_and_the_formula_knows():
     """paper-b is 90 mm thick in cells of 10 µm: its float32 heights turn facets of 64 quads and more."""
     grader = grader_of("paper-b")
@@ -365,6 +367,7 @@ def test_bytes_of_3mf_and_glb_are_forecast_within_a_fifth(tmp_path, name, cells,
         assert row.bytes == pytest.approx(manifest.path(row.format).stat().st_size, rel=0.2), row.format
 
 
+@pytest.mark.slow
 def test_bytes_of_a_glb_whose_cells_are_one_node_are_forecast(tmp_path):
     design = design_of("slab", (90, 90))
     (row,) = forecast(Meshes(clacad.prescribe(design)), ("glb",), 2, Request(gpu_instancing=True))

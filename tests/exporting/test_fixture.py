@@ -48,6 +48,7 @@ def as_trimesh(baffle):
     return trimesh.Trimesh(vertices, index.reshape(-1, 3), process=False)
 
 
+@pytest.mark.daily_cases("hexagonal")
 @pytest.mark.parametrize("kind", ["square", "hexagonal"])
 def test_the_baffle_is_one_closed_honeycomb_of_the_closed_forms_volume(kind):
     (baffle,) = baffle_meshes(window_of(kind))

@@ -400,6 +400,7 @@ border = 4
     assert not [check.id for check in report.checks if check.state == "fail"]
 
 
+@pytest.mark.slow
 def test_an_engraved_part_that_was_moved_is_found_where_it_lies(exported, tmp_path: Path) -> None:
     design, manifest = exported
     data = bytearray((manifest.folder / "plano.array2.marked.stl").read_bytes())

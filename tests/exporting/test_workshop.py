@@ -78,6 +78,7 @@ def test_all_of_it_passes_by_the_light_of_the_part_that_it_makes(design, made) -
     assert sum(bool(states(checks, "file_law_rms")) for checks in found.values()) == 14
 
 
+@pytest.mark.slow
 def test_tool_points_of_both_orders_lie_on_the_same_face(design, tmp_path) -> None:
     told = clacad.export(design, tmp_path, ["tool"], tool_step=0.05, nose=0.2, tool_order="spiral")
     entry = told.files[0]
@@ -97,6 +98,7 @@ def test_tool_points_of_both_orders_lie_on_the_same_face(design, tmp_path) -> No
     assert entry["share_not_reached"] == pytest.approx(1.0 - (big / (big + 0.2)) ** 2, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_tool_points_of_lenses_with_land_pass_by_the_light_of_the_part_that_they_make(tmp_path) -> None:
     part = clacad.load("tilted-seam", ["lattice.count = [3, 3]"])
     told = clacad.export(part, tmp_path, ["tool"], tool_step=0.1, nose=0.025)
@@ -158,6 +160,7 @@ WRONG = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "reason"), WRONG)
 def test_a_wrong_insert_fails_with_the_reason(design, made, tmp_path, change, reason) -> None:
     name = "window-100mm.sheet-back.insert.stl"

@@ -96,6 +96,7 @@ def test_every_lenslet_of_a_back_lies_where_the_insert_moulds_it(keys, shrinkage
     assert np.abs(found - insert[:, 2])[held].max() < ROOM
 
 
+@pytest.mark.daily_cases("front-0.025")
 @pytest.mark.parametrize("case", golden("tool")["cases"], ids=lambda case: case["nose"])
 @pytest.mark.parametrize("side", ["front", "back"])
 def test_tool_points_are_those_of_the_reference(sheet, case, side) -> None:
@@ -134,6 +135,7 @@ def test_tool_points_are_those_of_the_reference(sheet, case, side) -> None:
     )
 
 
+@pytest.mark.daily_cases("-0.02")
 @pytest.mark.parametrize("case", golden("tool")["concave"], ids=lambda case: case["radius"])
 def test_a_nose_larger_than_a_concave_face_is_refused(sheet, case) -> None:
     window, face = with_lens(sheet, sheet.bodies[0].front, float(case["radius"]))
@@ -169,6 +171,7 @@ STEPS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nose", [0.025, 0.2])
 @pytest.mark.parametrize("keys", STEPS.values(), ids=STEPS)
 def test_a_nose_passes_over_steps_as_a_ball_over_the_heights_that_are_written(keys, nose) -> None:
@@ -201,6 +204,7 @@ def test_a_nose_passes_over_steps_as_a_ball_over_the_heights_that_are_written(ke
     assert (cut[~reached] > 0.0).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_a_nose_is_refused_only_where_it_enters_nowhere() -> None:
     """The lenses of a sheet for a point far aside are up to .4 mm higher in one cell than in the next."""
     keys = ["lattice.count = [4, 4]", "lattice.aperture = {point = [30, 70, -600]}"]

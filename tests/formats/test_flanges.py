@@ -48,6 +48,7 @@ def land_thickness(body):
 FORMS = [SLAB, pytest.param(PLANO, marks=pytest.mark.slow), pytest.param(BICONVEX, marks=pytest.mark.slow)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base", FORMS)
 @pytest.mark.parametrize(("body", "added"), [
     pytest.param({"border": 2}, pi / 4 * (10.5**2 - 6.5**2), marks=pytest.mark.slow),

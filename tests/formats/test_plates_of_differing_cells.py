@@ -96,6 +96,7 @@ def test_a_pair_is_kept_where_both_of_its_cells_are_whole(name):
         assert (gap[~kept, : gap.shape[1] // 2].min(axis=1) > 0.01).any()
 
 
+@pytest.mark.daily_cases("aimed hexagons, plano")
 @pytest.mark.parametrize("name", ["aimed slab", "aimed hexagons, plano", pytest.param("turned array", marks=pytest.mark.slow)])  # fmt: skip
 def test_holes_lie_at_one_place_in_every_body_and_in_light(name):
     window = built(name)
@@ -141,6 +142,7 @@ def test_solid_mesh_and_closed_form_have_one_volume_and_the_section_of_the_plate
     assert sum(meshes) == pytest.approx(exact, rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lattice", [AIMED, pytest.param({}, marks=pytest.mark.slow)])
 def test_a_hole_elsewhere_in_the_land_is_found_in_solids_their_text_and_triangles(tmp_path, lattice):
     at = {"diameter": 0.7, "at": [[1.6, 0.1]]}

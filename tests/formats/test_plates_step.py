@@ -133,6 +133,7 @@ def content_under(name, face, first):
     return height_under(face, half) * lenses + land * ((1.5 + 2 * BORDER) * (1.0 + 2 * BORDER) - lenses)
 
 
+@pytest.mark.daily_cases("flat")
 @pytest.mark.parametrize("name", FACES)
 def test_every_layer_is_a_solid_of_its_own_with_the_volume_of_the_closed_form(made, name):
     """The land of a joint is that of the face before it: behind the lens, seen from the light."""
@@ -215,6 +216,7 @@ def test_rays_through_the_faces_of_the_file_refract_once_at_a_joint(made, tmp_pa
         assert np.abs(np.array(found["direction"]) - want).max() < 1e-10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["flat", "curved", pytest.param("seamed", marks=pytest.mark.slow)])
 def test_a_right_file_passes_and_its_light_is_that_of_the_design(made, monkeypatch, name):
     monkeypatch.setattr(step_light, "POINT_RAYS", 256 if name == "seamed" else 64)
@@ -240,6 +242,7 @@ def wrong_in(made, tmp_path, window):
     return {kind for kind, one in shape_of(made, path).items() if one.state == "fail"}
 
 
+@pytest.mark.daily_cases("flat-kind0")
 @pytest.mark.parametrize(("name", "kind"), [("flat", VOLUME), ("curved", SHAPE), ("seamed", SHAPE)])
 def test_a_joint_five_micrometres_off_in_one_layer_is_found(made, tmp_path, name, kind):
     window = made[name][1]
@@ -252,6 +255,7 @@ def test_a_flat_joint_off_in_both_layers_is_found_although_the_whole_volume_is_r
     assert VOLUME in wrong_in(made["flat"], tmp_path, both)
 
 
+@pytest.mark.daily_cases("0-flat", "2-flat")
 @pytest.mark.parametrize("name", ["flat", "curved", "seamed"])
 @pytest.mark.parametrize("lost", [0, 1, 2])
 def test_a_missing_layer_is_named(made, tmp_path, name, lost):
@@ -264,6 +268,7 @@ def test_a_missing_layer_is_named(made, tmp_path, name, lost):
     assert window.bodies[lost].name in check.sentence
 
 
+@pytest.mark.daily_cases("flat")
 @pytest.mark.parametrize("name", ["flat", "curved", "seamed"])
 def test_exchanged_materials_are_found(made, tmp_path, name):
     _, window, path = made[name]

@@ -118,6 +118,7 @@ def test_a_plain_reader_finds_radii_conics_indices_decentres_and_tilts_of_the_zm
         assert place + low == pytest.approx((np.asarray(face.vertex) + [*shift, 0.0]) * mm, abs=2e-14)
 
 
+@pytest.mark.daily_cases("plano")
 @pytest.mark.parametrize("name", ["biconvex", "plano"])
 def test_light_through_the_numbers_of_the_zmx_is_that_of_clacad_in_sixty_digits(tmp_path, name):
     design = tilted(name)

@@ -60,6 +60,7 @@ def exact_volume() -> float:
     return float(7 * SCALE**3 * (area * top[..., 2].mean(axis=1)).sum())
 
 
+@pytest.mark.slow
 def test_lines_joined_by_the_kernel_are_those_of_plain_python(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(5)
     vertices = np.where(rng.random((301, 3)) < 0.1, 0.0, rng.normal(size=(301, 3)))
@@ -299,6 +300,9 @@ def test_a_cut_stl_is_refused(tmp_path: Path, cut: int) -> None:
         read_mesh(path)
 
 
+@pytest.mark.daily_cases(
+    "0.0-.3mf", "0.0-.ply", "0.0-.glb", "0.02-.3mf", "0.02-.glb", "0.5-.3mf", "0.5-.glb", "0.9-.3mf"
+)
 @pytest.mark.parametrize("suffix", [".3mf", ".ply", ".glb"])
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.9, 0.999])
 def test_a_cut_file_is_refused(tmp_path: Path, suffix: str, share: float) -> None:
@@ -429,6 +433,7 @@ def test_an_entry_that_leads_out_is_refused(tmp_path: Path, name: str) -> None:
         read_mesh(pack(tmp_path / "x.3mf", model(GOOD), {name: b"x"}))
 
 
+@pytest.mark.slow
 def test_a_zip_bomb_is_refused_without_being_inflated(tmp_path: Path) -> None:
     path = pack(tmp_path / "bomb.3mf", b" " * (200 << 20))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -504,6 +509,13 @@ def test_a_hostile_glb_is_refused(tmp_path: Path, trick: str) -> None:
         read_mesh(glb_with(tmp_path, GLB_TRICKS[trick]))
 
 
+@pytest.mark.daily_cases(
+    "element vertex-element vortex",
+    "element face 672-element face 2000000000",
+    "property double x-property quadruple x",
+    "format binary_little_endian-format binary_middle_endian",
+    "end_header-end_hodder",
+)
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -557,6 +569,7 @@ def test_mangled_bytes_give_a_mesh_or_a_refusal_and_nothing_else(
         assert np.isfinite(corners).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["binary", "ascii"])
 def test_numbers_that_others_write_beside_a_face_are_skipped(tmp_path, encoding):
     trimesh = pytest.importorskip("trimesh")
@@ -602,6 +615,7 @@ def test_a_binary_ply_of_either_byte_order_and_of_polygons_is_read(tmp_path, ord
         read_ply(path)  # rows of different lengths cannot be distinguished
 
 
+@pytest.mark.slow
 def test_an_ascii_ply_of_triangles_and_polygons_is_read(tmp_path):
     path = tmp_path / "x.ply"
     path.write_text(PLY_HEAD.format("ascii") + ply_text(PLY_FACES))

@@ -82,6 +82,7 @@ def test_fused_and_instanced_files_hold_the_same_volume_and_the_same_lenses(tmp_
     assert volumes[0] == pytest.approx(volumes[1], rel=1e-10)
 
 
+@pytest.mark.daily_cases("slab")
 @pytest.mark.parametrize("name", ["tilted", "tilted-seam", "plano", "slab"])
 def test_slabs_with_displaced_arrays_and_plane_backs_read_back(tmp_path, name):
     window = clacad.prescribe(clacad.load(str(DESIGNS / f"{name}.toml"))).with_cells((3, 2))

@@ -111,6 +111,7 @@ def test_files_read_row_by_row_are_those_held_in_memory_and_those_of_trimesh(
                                [held.min(axis=(0, 1)), held.max(axis=(0, 1))], rtol=1e-12)  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_ply_file_of_another_form_is_read_as_before(tmp_path: Path) -> None:
     """Single precision and a quad go to the general reader."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype="<f4")

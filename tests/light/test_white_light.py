@@ -119,6 +119,7 @@ def test_matrices_of_four_lines_are_those_of_another_program(number):
         assert found[:2, 2] == pytest.approx(0.0)
 
 
+@pytest.mark.daily_cases("0")
 @pytest.mark.parametrize("number", range(len(sample("thermal_chromatic")["designs"])))
 def test_the_law_in_four_lines_at_three_temperatures_is_that_of_another_program(number):
     about, case = sample("thermal_chromatic"), sample("thermal_chromatic")["designs"][number]
@@ -135,6 +136,7 @@ def test_the_law_in_four_lines_at_three_temperatures_is_that_of_another_program(
 WHITE = [case for case in sample("plates")["cases"] if case["name"].startswith("white")]
 
 
+@pytest.mark.daily_cases("one PMMA K=-1/n2")
 @pytest.mark.parametrize("case", WHITE, ids=[case["name"][7:] for case in WHITE])
 def test_white_light_through_a_sample_is_that_of_another_program(case):
     judged = {check.id: check for check in judge(listed(case)).light}
@@ -288,6 +290,7 @@ def test_colours_of_a_non_uniform_sheet_are_those_of_its_worst_cell():
     assert changed(*whole.lines) == pytest.approx(changed(*alone.lines), rel=0.02)
 
 
+@pytest.mark.slow
 def test_sheets_with_errors_are_judged_in_white_light_and_over_temperature_where_it_is_stated():
     design = load(DESIGNS / "window-100mm.toml").with_cells((20, 20))
     stated = design.replace(
@@ -318,6 +321,7 @@ def test_a_sweep_of_a_design_that_states_its_light_has_the_rows_of_white_light()
     assert second < 0.92 * first  # the source of the index decides more than the faces
 
 
+@pytest.mark.daily_cases("16384-three-plates-10deg", "16384-hexagonal", "65836-three-plates-10deg")
 @pytest.mark.parametrize("kind", [PLATES, "hexagonal", "slab"])
 @pytest.mark.parametrize("rows", [1 << 14, (1 << 16) + 300])
 def test_lines_traced_at_once_are_those_traced_one_by_one_bit_by_bit(kind, rows):

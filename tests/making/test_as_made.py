@@ -62,6 +62,9 @@ def close(value, golden):
     return abs(value - golden) <= max(0.02 * golden, 2e-6)
 
 
+@pytest.mark.daily_cases(
+    "window-design", "window-shrinkage", "window-gamma", "fs01-shrinkage0", "fs01-shrinkage1", "fs01-gamma"
+)
 @pytest.mark.parametrize("case", CASES, ids=[f"{one['design']}-{one['case']}" for one in CASES])
 def test_light_as_made_is_that_of_an_independent_trace(case, sheets):
     rays = 65536 if case["case"] == "nose" else 16384  # few rays meet a rounding
@@ -190,6 +193,7 @@ def test_textures_of_one_process_add_in_squares():
     assert scallop(0.0, 1e-3).rms == scallop(1e-6, 0.0).rms == 0.0
 
 
+@pytest.mark.slow
 def test_a_nose_that_finds_room_on_land_leaves_its_lenses_as_they_are():
     """By hand: on a lens of radius R that ends at x, its centre is x r/R further out, in the middle of the land
     at most; the seam .05 of lenses 2.468 that end at .225 takes a nose of .05/2/.225 R = .274 along the axes.
@@ -290,6 +294,7 @@ def test_a_closed_face_is_the_lowest_ball_of_a_tool(sheets):
         np.testing.assert_allclose(found(x, y)[k], rate, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_face_that_is_hardly_no_sphere_is_closed_as_a_sphere(sheets):
     _, window = sheets["window"]
     face = window.bodies[0].front

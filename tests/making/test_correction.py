@@ -77,6 +77,7 @@ def test_the_loop_ends_at_the_error_of_the_scale_of_heights(z_scale):
     assert found == pytest.approx(light(of, perfect(of) / z_scale, both=True), rel=0.1)
 
 
+@pytest.mark.slow
 def test_without_the_scale_of_heights_one_round_is_made_and_said(tmp_path, capsys):
     of = str(DESIGNS / "window-100mm.toml")
     first = as_file(
@@ -107,6 +108,7 @@ def test_without_the_scale_of_heights_one_round_is_made_and_said(tmp_path, capsy
     assert "another design" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_good_part_is_left_alone():
     of = design("window-100mm")
     found = correct(of, as_map(Instrument().measured(perfect(of), 1)), z_scale=SURE)
@@ -118,6 +120,7 @@ def test_a_good_part_is_left_alone():
     assert found.heights == pytest.approx(sphere, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_known_error_is_taken_off_with_its_sign_and_place(tmp_path):
     """A part 3 % too low and astigmatic: the command rises by as much, and is read again as a map."""
     of = design("window-100mm")
@@ -136,6 +139,7 @@ def test_a_known_error_is_taken_off_with_its_sign_and_place(tmp_path):
     assert again.points[2].reshape(128, 128) == pytest.approx(1e-3 * found.heights, abs=1e-15)
 
 
+@pytest.mark.slow
 def test_a_deviation_map_gives_the_correction_of_its_height_map(tmp_path):
     of = design("window-100mm")
     z = Instrument(noise=5e-6).measured(made(of, MAKERS["turning"]), 3)
@@ -180,6 +184,7 @@ def test_the_dose_of_a_greyscale_command_gives_its_depths_within_half_a_level(tm
     assert (straight.min(), straight.max()) == (0, 255)
 
 
+@pytest.mark.slow
 def test_the_next_design_holds_the_commands_of_both_sides_and_says_what_it_leaves(tmp_path, capsys):
     of = design("window-100mm")
     z = Instrument(noise=2e-6).measured(made(of, Maker("made", height=0.03, astigmatism=3e-3)), 1)
@@ -247,6 +252,7 @@ def test_cells_of_their_own_are_compared_each_with_its_own_design(tmp_path):
     assert "next.toml" not in {path.name for path in found.write(tmp_path)}
 
 
+@pytest.mark.slow
 def test_what_a_lenslet_has_of_its_own_is_corrected_in_its_own_cell(tmp_path):
     """Every second lens 2 of an aimed sheet is 4 % too low, the others are right; two rounds take it off."""
     of = load(
@@ -310,6 +316,7 @@ def test_sides_and_folders_are_asked_for(capsys):
         correct(design("window-100mm"), "x.npy", side="top")
 
 
+@pytest.mark.slow
 def test_corrections_of_two_rounds_add_up():
     of = design("window-100mm")
     z = made(of, replace(MAKERS["UV resin"], bend=0.0))

@@ -65,12 +65,14 @@ def test_depths_are_found_wherever_the_coupon_lies(degrees) -> None:
     assert found.explained > 0.98
 
 
+@pytest.mark.slow
 def test_the_uncertainty_is_that_of_the_noise() -> None:
     found = calibrate(map_of(scanned(noise=1e-7)))
     pixels = (0.06e-3 / 4e-6) ** 2  # of the inner field; the land around has more
     assert np.median(found.halves) == pytest.approx(1e-7 / np.sqrt(pixels), rel=0.5)
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_exports_read(tmp_path, capsys) -> None:
     np.save(tmp_path / "wedge.npy", scanned(0.01))
     scales = {"pixel_um": 4, "z_step_um": 1e6, "row_0": "bottom"}

@@ -213,6 +213,7 @@ def test_hostile_maps_are_measured_or_refused(tmp_path, tenth):
         assert words == "measured" or "\0" not in words
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [12, 43, len(CASES) - 20])
 def test_a_hostile_map_is_refused_by_the_command_in_words(tmp_path, capsys, number):
     path = written(tmp_path, number)

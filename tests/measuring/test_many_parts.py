@@ -89,6 +89,7 @@ HARD = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [next(iter(HARD)), *(pytest.param(one, marks=pytest.mark.slow) for one in list(HARD)[1:])]
 )
@@ -319,6 +320,7 @@ def bound(pixel: float, lenslets: int) -> tuple[float, float]:
     return float(least[3]), float(least[4])
 
 
+@pytest.mark.slow
 def test_the_error_of_the_coarse_sample_is_that_of_its_noise():
     found, truth = judged_sample("front-coarse.xyz")
     rows = {(row["i"], row["j"]): row for row in found.to_dict()["lenslets"]}

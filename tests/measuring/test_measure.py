@@ -44,6 +44,7 @@ def states(found) -> dict[str, str]:
     return {check.id: check.state for check in found.checks}
 
 
+@pytest.mark.slow
 def test_lenslets_are_found_within_their_stated_uncertainty():
     made = Made(
         turn=0.02,
@@ -157,6 +158,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.daily_cases("coarse", "small", "tiny")
 @pytest.mark.parametrize("name", REFUSED)
 def test_maps_that_do_not_hold_the_lenslets_are_refused_with_the_reason(name):
     made, words = REFUSED[name]
@@ -212,6 +214,7 @@ def test_pictures_without_scales_and_with_wrong_ones_are_refused(tmp_path):
         read_map(tmp_path / "b.xyz")
 
 
+@pytest.mark.slow
 def test_every_reader_gives_the_same_heights(tmp_path):
     from PIL import Image
 
@@ -265,6 +268,7 @@ SLOW_SAMPLES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "side"),
     [

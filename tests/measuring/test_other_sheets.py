@@ -97,6 +97,7 @@ OTHERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [one if one == "aimed back" else pytest.param(one, marks=pytest.mark.slow) for one in OTHERS],
@@ -202,6 +203,7 @@ def test_of_a_sheet_whose_cells_differ_an_edge_or_the_stated_cell_decides():
         measure(AIMED, back=(mapped(made), (40, 0)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [(0.003, -0.001), pytest.param((0.02, -0.01), marks=pytest.mark.slow)])
 def test_pieces_bonded_with_a_displacement_are_named(step):
     made = Made(size=250, spread_middle=1e-4)

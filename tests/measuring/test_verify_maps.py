@@ -43,6 +43,7 @@ def verified(capsys, *words: str) -> tuple[int, dict]:
     return status, json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_both_sides_are_judged_together(parts, capsys):
     status, found = verified(
         capsys, "--files", str(parts["front"]), str(parts["back"]), "--z-scale", "1 +- 1e-4"
@@ -72,6 +73,7 @@ def test_a_wrong_part_fails(parts, capsys):
     assert (status, found["word"], found["measured"]["as_designed"]) == (1, "failed", ["front", "bodies"])
 
 
+@pytest.mark.slow
 def test_a_damaged_map_is_refused(tmp_path, parts, capsys):
     path = tmp_path / "cut.xyz"
     path.write_bytes(parts["front"].read_bytes()[:5000])
@@ -115,6 +117,7 @@ def closed_part(folder: Path, quads: int) -> Path:
     return folder / "part.stl"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", ["front", "back"])
 def test_one_side_of_a_closed_part_has_the_lenslets_of_its_map(tmp_path, side):
     """Heights of the map by the sphere of the design; the mesh has chords in their place."""
@@ -153,6 +156,7 @@ def scanned(folder: Path, design: Design, spoil=lambda corners: corners):
     return verify(design, folder / "part.stl", rays=4096, role="scan")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["slab", *(pytest.param(n, marks=pytest.mark.slow) for n in ("inside", "galilean"))]
 )
@@ -206,6 +210,7 @@ def test_the_scan_of_a_part_with_another_radius_fails_by_its_light(tmp_path):
     assert report.word == "failed"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "side"), [(1.0, "front"), (2.0, "back")])
 def test_a_map_without_a_name_is_of_the_side_with_its_curvature_and_is_read_once(
     tmp_path, monkeypatch, factor, side

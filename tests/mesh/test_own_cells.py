@@ -209,6 +209,7 @@ def test_bevels_at_saddles_are_refused_where_cells_differ():
         tessellate(built(), quads=4, saddle_bevel=0.01)
 
 
+@pytest.mark.daily_cases("columns in a border")
 @pytest.mark.parametrize(
     "name", ["slab", "law that varies, hexagonal", "law that varies, tilted", "columns in a border"]
 )

@@ -147,6 +147,7 @@ def test_every_body_is_closed_alone_and_has_the_volume_of_its_listed_faces(name)
         assert extrapolated == pytest.approx(exact, rel=2e-6, abs=1e-5)
 
 
+@pytest.mark.daily_cases("5-layer", "5-seamed", "8-curved", "8-layer")
 @pytest.mark.parametrize("name", JOINED)
 @pytest.mark.parametrize("quads", [5, 8])
 def test_both_bodies_of_a_joint_have_the_same_facets_mirrored(name, quads):
@@ -176,6 +177,7 @@ def test_the_forecast_of_facets_counts_both_sides_of_a_joint():
 # -- light ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LISTS)
 def test_light_through_a_fine_mesh_approaches_that_through_the_listed_faces(name):
     rays = beam(400)
@@ -192,6 +194,7 @@ def test_light_through_a_fine_mesh_approaches_that_through_the_listed_faces(name
     assert np.abs(smooth.direction - exact.direction)[both].max() < 5e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", JOINED)
 def test_light_through_a_written_file_is_that_through_the_mesh_in_memory(name, tmp_path):
     window, rays = WINDOWS[name], beam(300)
@@ -233,6 +236,7 @@ FORMATS = ("stl", "3mf", "glb")
 SLOW = {("seamed", "3mf"), ("seamed", "glb")}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "suffix"), [
     pytest.param(*case, marks=[pytest.mark.slow] if case in SLOW else []) for case in product(JOINED, FORMATS)
 ])  # fmt: skip
@@ -240,6 +244,7 @@ def test_a_right_file_passes(name, suffix, tmp_path):
     assert faults(name, written(name, tmp_path, suffix)) <= {"file_confocality", "file_throughput"}
 
 
+@pytest.mark.daily_cases("layer")
 @pytest.mark.parametrize("name", JOINED)
 def test_a_joint_of_one_body_that_is_5_um_off_is_found(name, tmp_path):
     mesh = written(name, tmp_path, "fused.3mf", quads=8)
@@ -251,6 +256,7 @@ def test_a_joint_of_one_body_that_is_5_um_off_is_found(name, tmp_path):
     assert "shape" in faults(name, spoilt)
 
 
+@pytest.mark.daily_cases("layer")
 @pytest.mark.parametrize("name", JOINED)
 def test_a_missing_body_between_two_joints_is_found(name, tmp_path):
     mesh = written(name, tmp_path, "fused.3mf", quads=8)
@@ -258,6 +264,7 @@ def test_a_missing_body_between_two_joints_is_found(name, tmp_path):
     assert {"volume", "shape"} <= faults(name, spoilt)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["3mf", "fused.3mf", "glb"])
 @pytest.mark.parametrize("name", [name for name in JOINED if name != "seamed"])
 def test_objects_that_exchange_their_names_are_found_where_their_media_differ(name, suffix, tmp_path):

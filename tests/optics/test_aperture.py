@@ -83,6 +83,7 @@ def test_a_square_turned_has_its_own_side_as_equivalent_width_and_dark_lines_of_
         assert first_zeros(polygon) == pytest.approx([1.0 / longer] * 2, rel=1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), min_size=2, max_size=6))
 def test_first_zeros_lie_between_those_of_a_slit_and_of_a_triangle(steps):

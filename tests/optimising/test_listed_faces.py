@@ -52,6 +52,7 @@ def test_a_trial_is_the_window_of_the_design_with_its_faces():
         assert one.surface == two.surface
 
 
+@pytest.mark.slow
 def test_a_search_over_plates_returns_to_the_error_of_the_starter_with_its_walls_kept(tmp_path):
     design = starter("two-plates-10deg")
     faces = tuple(
@@ -73,6 +74,7 @@ def test_a_search_over_plates_returns_to_the_error_of_the_starter_with_its_walls
     assert load(out).pair.face == found.design.pair.face
 
 
+@pytest.mark.slow
 def test_terms_of_sixth_order_are_kept_and_searched_together_with_the_others():
     """Terms too weak to take a tenth of the error; the list stays its own mirror image, and the walls are kept."""
     design = starter("two-plates-10deg")

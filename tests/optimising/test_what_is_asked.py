@@ -102,6 +102,7 @@ CURVED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("pair", "free", "most"),
     [

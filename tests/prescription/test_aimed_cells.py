@@ -220,6 +220,7 @@ def mean_directions(window, cells, viewer=VIEWER):
     return np.array(means), slopes
 
 
+@pytest.mark.daily_cases("a gradient with a curl")
 @pytest.mark.parametrize("name", VARYING)
 def test_light_of_the_eye_leaves_every_cell_of_an_aimed_sheet_by_the_law_of_that_cell(name):
     varying, delta = VARYING[name]
@@ -238,6 +239,7 @@ def test_light_of_the_eye_leaves_every_cell_of_an_aimed_sheet_by_the_law_of_that
     assert viewed(aligned, tuple(VIEWER), 1024).traced < seen.traced - 0.1
 
 
+@pytest.mark.slow
 def test_a_rough_table_is_aimed_cell_by_cell_with_every_size_of_lens(tmp_path, monkeypatch):
     from clacad.prescription import traced_vertices
 

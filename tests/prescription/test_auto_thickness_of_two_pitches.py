@@ -23,6 +23,7 @@ WIDER = {"lattice": BICONVEX["lattice"] | {"pitch_2": 0.52}}
 NARROWER = {"lattice": BICONVEX["lattice"] | {"pitch_2": 0.48}}
 
 
+@pytest.mark.daily_cases("narrower")
 @pytest.mark.parametrize("change", [FOCUS, WIDER, NARROWER], ids=["focus", "wider", "narrower"])
 def test_each_lens_is_as_thick_as_the_cells_of_its_own_array_ask(change):
     """Two equal spheres of radius R meet the web at the corner of a cell: T = web + 2 (R − √(R² − ρ²)), ρ = p_k/√2."""

@@ -55,6 +55,7 @@ def rays_over(sheet: clacad.Window, slope: float, count: int = 3000) -> clacad.R
     return clacad.Rays(start, np.column_stack([rng.uniform(-slope, slope, (count, 2)), np.ones(count)]))
 
 
+@pytest.mark.daily_cases("flat-joints")
 @pytest.mark.parametrize("name", NAMES)
 def test_light_of_four_lines_leaves_as_another_program_says(name):
     lines, share = FOUND[name]
@@ -202,6 +203,7 @@ def test_the_sign_of_a_radius_and_of_even_terms_is_towards_plus_z():
         assert float(lens_height(face, np.array([x]), np.array([y]))[0]) == pytest.approx(z, abs=1e-15)
 
 
+@pytest.mark.slow
 def test_the_place_of_lens_2_gives_the_offset_that_is_asked():
     sheet = window("flat-joints", law__delta=[0.01, -0.004])
     seen = clacad.verify(design("flat-joints", law__delta=[0.01, -0.004]))
@@ -210,6 +212,7 @@ def test_the_place_of_lens_2_gives_the_offset_that_is_asked():
     assert sheet.bodies[-1].back.vertex[0] == pytest.approx(0.0, abs=1e-12)  # centred on its own cell
 
 
+@pytest.mark.slow
 def test_cells_that_are_aimed_serve_the_eye_through_joints():
     spec = design("flat-joints", lattice__count=[16, 16], lattice__aperture={"point": [0, 0, -400]})
     found = {check.id: check for check in clacad.verify(spec).checks}

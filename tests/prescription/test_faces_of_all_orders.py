@@ -79,6 +79,7 @@ def test_the_text_of_a_design_keeps_every_order_and_its_unit():
         slab({**ROUND, "a6": [1, 2, 3]}, ROUND)
 
 
+@pytest.mark.daily_cases("round")
 @pytest.mark.parametrize("name", DESIGNS)
 def test_light_through_them_is_that_of_fifty_digits_and_of_the_oracle(name):
     design = DESIGNS[name]

@@ -271,6 +271,7 @@ def test_light_of_the_law_is_weighed_with_the_field_lens():
     )
 
 
+@pytest.mark.slow
 def test_check_judges_the_field_lens_and_passes():
     judged = judge(sheet())
     found = {
@@ -288,6 +289,7 @@ def test_check_judges_the_field_lens_and_passes():
     assert min(ghost_onset(thin_cells(judged.window))) == pytest.approx(0.05)
 
 
+@pytest.mark.slow
 def test_a_gap_that_leaves_the_focus_fails_the_check():
     judged = judge(sheet(pair__field={"gap": 0.3}, lattice__count=[5, 5]))
     assert "field_focus" in {check.id for check in judged.failing}

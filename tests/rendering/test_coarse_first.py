@@ -198,6 +198,7 @@ def test_a_scene_whose_kernels_must_be_compiled_is_there_coarsely_first(
     assert (tmp_path / "x.png").read_bytes() == whole
 
 
+@pytest.mark.slow
 def test_a_movie_whose_kernels_must_be_compiled_is_its_first_frame_before(
     scene_file, monkeypatch, tmp_path, capsys
 ):

@@ -37,6 +37,7 @@ def scene_of(case: str) -> Scene:
     )
 
 
+@pytest.mark.slow
 @needs_povray
 @pytest.mark.parametrize(
     "case", [pytest.param(case, marks=[] if "curved" in case else [pytest.mark.slow]) for case in CASES]

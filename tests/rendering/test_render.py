@@ -310,6 +310,7 @@ def test_compiled_and_plain_pictures_agree():
     assert (np.abs(plain - fast).max(axis=-1) > 1e-9).mean() < 2e-3
 
 
+@pytest.mark.slow
 def test_sampling_goes_on_until_the_noise_is_met():
     noisy = scene(FLOOR, camera={"pixels": [64, 64], "samples": 4, "noise": 0.02, "most_samples": 64})
     picture = view_through(noisy)
@@ -321,6 +322,7 @@ def test_sampling_goes_on_until_the_noise_is_met():
     assert (fixed.samples == 4).all()
 
 
+@pytest.mark.slow
 def test_more_samples_come_nearer_to_the_mean():
     views = [render(scene(FLOOR, camera={"pixels": [24, 24], "samples": n})) for n in (4, 16, 256)]
     errors = [np.sqrt(np.mean((view - views[2]) ** 2)) for view in views[:2]]
@@ -417,6 +419,7 @@ def edge_width(angle, light):
     return math.sqrt(max(0.0, (rise * (middle - mean) ** 2).sum() - (angle[1] - angle[0]) ** 2 / 6.0))
 
 
+@pytest.mark.slow
 def test_a_white_edge_through_a_dispersive_sheet_has_fringes_of_the_width_of_the_closed_form(tmp_path):
     """Change of slope ε (1 − η)/η x/f1, x even over the cell, f1 = s/(1 − η), ε = (n − n0)/(n (n − 1))."""
     from clacad.optics.material.catalogue import find

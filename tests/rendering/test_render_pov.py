@@ -92,6 +92,7 @@ THINGS = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @needs_povray
 @pytest.mark.parametrize("mirror", [False, True])
 def test_every_kind_of_object_light_and_sky_is_drawn_alike(mirror, tmp_path):

@@ -14,6 +14,7 @@ import clacad
 DESIGNS = Path(__file__).parents[2] / "designs"
 
 
+@pytest.mark.slow
 def test_a_picture_shows_the_law_and_what_was_traced():
     design = clacad.load(DESIGNS / "window-100mm.toml")
     window = clacad.prescribe(design)

@@ -414,6 +414,7 @@ def test_the_view_is_that_of_the_stated_viewer_and_none_of_one_behind_the_sheet(
     assert seen_by_viewer(behind, prescribe(behind)) is None
 
 
+@pytest.mark.slow
 def test_lines_of_white_light_and_temperatures_have_a_row_each_with_the_floor_and_its_source(page):
     """The mean is that of another program for this sheet, .293 mrad, and the floor .285; a bare index has none."""
     from clacad.report.rows import LightRows

@@ -79,6 +79,7 @@ def test_volume_and_mass_are_those_of_the_triangles(made):
             assert mass == pytest.approx(volume * 1190.0e-6, rel=1e-12)  # PMMA: 1190 kg/m³
 
 
+@pytest.mark.daily_cases("biconvex", "plano", "slab", "galilean")
 def test_caliper_sizes_are_those_of_the_triangles(made):
     table = lines(made)
     for body in tessellate(made.window, quads=16).bodies:
@@ -88,6 +89,7 @@ def test_caliper_sizes_are_those_of_the_triangles(made):
         )
 
 
+@pytest.mark.daily_cases("biconvex", "plano", "slab", "galilean")
 def test_sag_is_that_of_the_triangles_of_the_lens(made):
     table = lines(made)
     alone = made.window.with_cells((1, 1))

@@ -419,6 +419,7 @@ def test_a_sheet_of_equal_cells_like_one_is_that_cell(tmp_path):
         assert like.thin.focal_length[1][1] == pytest.approx(-eta * 10.0 / (1.0 - eta), rel=1e-15)
 
 
+@pytest.mark.daily_cases("3", "4")
 @pytest.mark.parametrize("seed", range(6))
 def test_bounds_of_a_face_hold_every_lens_of_a_sheet_drawn_at_random(tmp_path, seed):
     rng = np.random.default_rng(seed)
@@ -451,6 +452,7 @@ def test_bounds_of_a_face_hold_every_lens_of_a_sheet_drawn_at_random(tmp_path, s
             assert z.max() <= window.z_range[1] + 1e-9
 
 
+@pytest.mark.daily_cases("<lambda>0")
 @pytest.mark.parametrize("eta", [WIDELY, BOTH])
 def test_closed_form_shares_are_those_of_rays_through_ideal_lenses(tmp_path, eta):
     window = built(tmp_path, eta, delta=still)
@@ -466,6 +468,7 @@ def test_closed_form_shares_are_those_of_rays_through_ideal_lenses(tmp_path, eta
             assert found == pytest.approx(counted, abs=0.015)
 
 
+@pytest.mark.daily_cases("<lambda>0")
 @pytest.mark.parametrize("eta", [WIDELY, BOTH])
 def test_the_volume_is_that_of_its_columns_summed_cell_by_cell(tmp_path, eta):
     window = built(tmp_path, eta, lattice__count=[3, 2])

@@ -184,6 +184,7 @@ def test_the_share_is_the_overlap_of_two_intervals_per_axis(eta, c):
     assert found == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.daily_cases("square", "hexagonal")
 @pytest.mark.parametrize("changes", [
     pytest.param({}, id="square"),
     pytest.param({"law.euler": [25.0, 1.0, 40.0], "law.delta": [0.01, 0.02]}, id="turned, tilted, offset"),

@@ -28,6 +28,7 @@ def test_the_mean_of_all_centres_is_the_origin(name):
     assert lattice.contains(lattice.cells()).all()
 
 
+@pytest.mark.daily_cases("rectangular", "hexagonal", "one hexagon")
 @pytest.mark.parametrize("name", KINDS)
 def test_a_point_belongs_to_the_nearest_centre(name):
     lattice = KINDS[name]

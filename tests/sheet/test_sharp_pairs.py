@@ -159,6 +159,7 @@ INCLINED = [
 ]  # fmt: skip
 
 
+@pytest.mark.daily_cases("changes4")
 @pytest.mark.parametrize("changes", INCLINED)
 def test_tilted_pairs_image_the_point_of_their_axis_sharply_each_from_its_own_distance(changes):
     """Every ray of every ideal pair meets at (-delta/eta, 1) times the image distance, lens frame."""
@@ -208,6 +209,7 @@ def test_lenses_2_of_many_tilted_pairs_are_moved_by_a_polynomial_as_by_each_trac
     assert 0.0 < np.abs(a - b).max() < 1e-9 * 0.5
 
 
+@pytest.mark.daily_cases("planes1")
 @pytest.mark.parametrize("planes", [{"pair__focus": {"object": -300, "image": 400}}, {"law__varying": {"f_image": 200}},
                                     {"law__varying": {"conjugates": {"object": -300, "image": 400}}}])  # fmt: skip
 def test_the_image_of_the_axis_of_tilted_lenses_is_as_far_along_it_as_that_of_upright_ones_along_the_normal(

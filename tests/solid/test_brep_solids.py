@@ -56,6 +56,7 @@ def test_a_body_of_loose_strips_is_a_compound():
     assert len(parts[1].solids()) == 3 or len(parts[1].solids()) == 2
 
 
+@pytest.mark.slow
 def test_a_volume_over_steep_conics_is_that_of_a_double_integral():
     """Plate 1 of the f/5 scanner: OCC's adaptive quadrature alone errs by 5e-9 there, and states 1e-12."""
     from clacad.solid.occ_writer import volume

@@ -65,6 +65,7 @@ def thin_share_by_hand(etas, gap, count=2000):
     return float(alive_by_hand(etas, gap, place.ravel(), slope.ravel())[0].mean())
 
 
+@pytest.mark.daily_cases("etas1-0.2-2")
 @pytest.mark.parametrize(
     ("etas", "product", "column"),
     [((-1.0, -1.0), 1 - 0.4 + 0.16 / 3, 0), ((0.2, 5.0), 1 / 5, 2)],  # ⟨(1 − 20|t|)²⟩; all, then a fifth
@@ -421,6 +422,7 @@ def test_lens_planes_within_one_another_are_refused_on_ideal_rungs_alone():
 # --- the two worked examples ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_sheets_of_minus_one_are_negative_space():
     """An independent prototype of thin cells: share .65 an axis, B = −99.0, position scatter .69 p."""
     made = stacked(windows(-1.0, -1.0), [100.0])

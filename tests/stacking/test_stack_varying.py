@@ -138,6 +138,7 @@ def standing(keys: list[dict[str, object]], air_mm: float):
     return stacked(windows, [air_mm - one for one in sunk])
 
 
+@pytest.mark.daily_cases("keys0-10")
 @pytest.mark.parametrize(
     ("keys", "B"),
     [({"lattice__aperture": VIEWER}, 10), ({"lattice__aperture": VIEWER, "pair__field_lens": True}, 0)],

@@ -30,6 +30,7 @@ def starter(kind: str) -> Design:
     return Design.from_dict(tomllib.loads(template(kind, kind))).with_cells((12, 12))
 
 
+@pytest.mark.daily_cases("x-axis-scanner-f5")
 @pytest.mark.parametrize("kind", MOVES)
 @pytest.mark.parametrize(
     ("axis", "rows"), [("x", "axis"), pytest.param("xy", "diagonal", marks=pytest.mark.slow)]
@@ -58,6 +59,7 @@ def test_scanners_reach_their_figures_over_the_whole_travel(kind, limit):
     assert np.abs(fit - [one.slopes[1] for one in found.positions]).max() < 1e-5
 
 
+@pytest.mark.slow
 def test_positions_beyond_the_cell_are_left_out_of_the_curve_and_a_travel_of_none_is_refused(
     capsys, tmp_path
 ):
@@ -175,6 +177,7 @@ def test_wobble_is_that_of_tolerances_of_tilt_and_at_the_rim_that_of_a_plate_tha
     assert np.isnan(steer(design, 0.04, positions=2, rays=64, waves=False, progress=silent).wobble[0])
 
 
+@pytest.mark.slow
 def test_files_and_json_hold_the_numbers_of_the_scan(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("own.toml").write_text(template("own", "scanner-f5"))

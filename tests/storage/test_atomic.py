@@ -284,6 +284,7 @@ LIMITED = textwrap.dedent(
 )
 
 
+@pytest.mark.slow
 def test_whichever_write_fails_the_folder_holds_the_old_set_or_the_new(tmp_path: Path) -> None:
     export(tmp_path, {"1.bin": b"old"})
     for limit in range(500, 5001, 500):

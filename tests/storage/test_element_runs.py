@@ -41,6 +41,7 @@ def read(text: bytes) -> tuple[list[float], list[float]]:
     return found, together
 
 
+@pytest.mark.daily_cases("plain", "comment", "cdata", "indented")
 @pytest.mark.parametrize(
     "inner",
     [

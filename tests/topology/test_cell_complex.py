@@ -283,6 +283,9 @@ def test_air_of_both_sides_that_meets_in_a_line_is_a_hole_of_the_mesh_but_none_o
     assert [body_facts(sheet, body).holes for body in sheet.bodies] == [0, 0]
 
 
+@pytest.mark.daily_cases(
+    "{'thickness': 0.0005}", "{'kind': 'hexagonal', 'thickness': 0.0003, 'count': (5, 4)}"
+)
 @pytest.mark.parametrize(
     "keys",
     [

@@ -47,6 +47,7 @@ def scattered(count, seed):
     return corners, start, ray
 
 
+@pytest.mark.daily_cases("3", "4", "5", "64", "65", "700")
 @pytest.mark.parametrize("count", [1, 3, 4, 5, 64, 65, 700])
 def test_the_first_triangle_is_that_of_asking_all(count):
     corners, start, ray = scattered(count, count)

@@ -223,6 +223,7 @@ def test_a_kernel_without_memory_is_70_in_one_sentence_and_the_other_files_are_w
     assert {p.name for p in out.iterdir()} == {"tiny.stl", "manifest.json", "run.json"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("body", "form", "words"), [
     ("frame", "slab", "one slab"), ("baffle", "plano", "no baffle"),
 ])  # fmt: skip
@@ -294,6 +295,7 @@ def test_json_is_all_there_is_on_stdout_and_the_log_is_json_on_stderr(design: Pa
             assert (out / entry["name"]).stat().st_size == entry["bytes"]
 
 
+@pytest.mark.slow
 def test_quiet_says_nothing_when_all_is_well(design: Path, tmp_path: Path) -> None:
     ended = clacad("export", design, "-o", tmp_path / "out", "--format", "table", "-q")
     assert (ended.status, ended.out, ended.err.strip()) == (0, "", "")

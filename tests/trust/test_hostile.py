@@ -117,6 +117,7 @@ def test_harmless_oddities_are_read(place: Path, name: str) -> None:
     assert main(["check", name, "-q"]) == 0
 
 
+@pytest.mark.daily_cases("noise.glb", "noise.3mf", "noise.obj", "noise.ply")
 @pytest.mark.parametrize(
     "name", ["noise.stl", "noise.step", "noise.glb", "noise.3mf", "noise.obj", "noise.ply"]
 )

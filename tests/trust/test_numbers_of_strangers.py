@@ -136,6 +136,7 @@ def test_a_value_after_an_option_may_leave_out_the_0_before_a_point(place: Path)
     assert parse("lattice.pitch=-.5") == ("lattice.pitch", -0.5)
 
 
+@pytest.mark.slow
 def test_the_search_for_keys_that_fix_a_design_ends_in_its_seconds_with_the_nearest_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -78,6 +78,16 @@ LESS: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
+@pytest.mark.daily_cases(
+    "tiny.stl-bytes",
+    "tiny.stl-items",
+    "tiny.stl-seconds",
+    "ascii.stl-bytes",
+    "ascii.stl-items",
+    "ascii.stl-seconds",
+    "tiny.3mf-bytes",
+    "tiny.3mf-items",
+)
 @pytest.mark.parametrize("what", LESS)
 @pytest.mark.parametrize("name", READERS)
 def test_a_mesh_file_over_its_readers_budget_is_refused_by_what_it_takes(
@@ -97,6 +107,7 @@ def of_format(folder: Path, format: str) -> Path:
     return next(path for path in sorted(folder.iterdir()) if path.name.endswith(kind.ends))
 
 
+@pytest.mark.daily_cases("mask-svg", "mask-dxf")
 @pytest.mark.parametrize("format", OF_MAPS)
 def test_a_map_or_table_over_its_readers_budget_is_a_refusal_and_no_failure(
     made: Path, monkeypatch: pytest.MonkeyPatch, format: str
@@ -236,6 +247,7 @@ def test_a_step_statement_of_many_blocks_is_begun_anew_a_few_times_only(
 # -- solids: the worker has limits ---------------------------------------------------------------------
 
 
+@pytest.mark.daily_cases("bytes-tiny.step", "bytes-tiny.brep")
 @pytest.mark.parametrize("name", ["tiny.step", "tiny.brep"])
 @pytest.mark.parametrize(("changes", "words"), [
     ({"memory": 400_000_000, "memory_per_byte": 0}, "out of memory"),

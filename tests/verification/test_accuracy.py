@@ -196,6 +196,7 @@ def test_the_command_prints_one_json_document_without_nan(capsys):
     assert {row["rung"] for row in document["rows"]} == {"law", "thin", "surfaces", "mesh", "step"}
 
 
+@pytest.mark.daily_cases("1,1000000000000000000")
 @pytest.mark.parametrize("count", ["1000000000,1000000000", "1,1000000000000000000"])
 def test_a_sheet_of_1e18_lenslets_is_refused_before_anything_is_loaded_that_could_trace_it(count):
     ended = clacad_command("accuracy", "designs/slab.toml", "--set", f"lattice.count=[{count}]")

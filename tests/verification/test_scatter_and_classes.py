@@ -77,6 +77,7 @@ def test_the_scatter_of_a_sheet_is_that_of_many_lenslets_drawn_one_by_one(form, 
     )
 
 
+@pytest.mark.slow
 def test_a_scatter_is_the_same_on_every_sheet_and_ranked_next_to_errors_of_arrays():
     design = made(decentre="1 um", samples=6, **SCATTER)
     study = tolerance(design, rays=64, farm=Farm(1))
@@ -137,6 +138,7 @@ def test_an_error_of_the_process_leaves_the_light_of_the_sheet_as_made(errors, p
     assert loss == pytest.approx(made.share_designed - made.share_formed, abs=6e-3)
 
 
+@pytest.mark.slow
 def test_errors_of_the_process_are_contributors():
     written = {"shrinkage_lateral": 0.01, "gamma": 0.02, "nose": "25 um", "samples": 4}
     window = prescribe(made(**written))

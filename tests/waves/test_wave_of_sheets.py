@@ -90,6 +90,7 @@ def test_a_small_wave_error_lowers_the_peak_as_its_variance_says():
     assert far_field(found, 550e-9 / window.unit).strehl == pytest.approx(np.exp(-variance), abs=0.002)
 
 
+@pytest.mark.daily_cases("0.006")
 @pytest.mark.parametrize("slope", [0.0, 0.006])
 def test_the_effect_diffraction_spreads_ideal_light_as_waves_do(slope):
     """Draws of `diffraction` for rays, compared with waves that know of no ray; Fresnel number 91."""

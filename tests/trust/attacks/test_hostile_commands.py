@@ -21,6 +21,16 @@ LIGHT = (
 """Points of attack that are soon done and need no kernel."""
 
 
+@pytest.mark.daily_cases(
+    "shape distance",
+    "shape target",
+    "image object",
+    "explore out",
+    "wave field",
+    "new template",
+    "file outline",
+    "file cells",
+)
 @pytest.mark.parametrize("point", LIGHT, ids=" ".join)
 def test_a_few_hostile_inputs_are_answered_and_leave_whole_sets(
     point: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -73,6 +73,7 @@ def threemf(path: Path, exponent: str, placed: str = "") -> None:
         )
 
 
+@pytest.mark.daily_cases("1e+30", "inf", "nan")
 @pytest.mark.parametrize("scale", [3e38, 1e30, 1e19, 1e-38, 1e-45, float("inf"), float("nan")])
 def test_an_stl_of_any_size_is_judged_without_a_warning(design: Path, scale: float) -> None:
     path = design.with_name("part.stl")
