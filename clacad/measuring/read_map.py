@@ -46,6 +46,9 @@ FARTHEST = 1.0
 LEAST, MOST = 1e-9, 1e-2
 """Range of the distance of neighbouring points of a map, metres."""
 
+FILLED, GROWN = 0.6, 12
+"""Share of squares that scattered points fill, 1 - 1/e of those of mean density; trials of their side."""
+
 
 @dataclass(frozen=True, eq=False)
 class MeasuredMap:
@@ -411,7 +414,7 @@ def cloud_map(name: str, points: Floats, placed: bool = False) -> MeasuredMap:
     steps = [_step(points[k]) for k in (0, 1)]
     regular = all(step > 0.0 for step in steps)
     if not regular:
-        steps = [float(np.sqrt(np.prod(high - low) / points.shape[1]))] * 2
+        steps = [_spread(points[:2], low, high)] * 2
     cells = (high - low) / np.clip(steps, LEAST, MOST)
     if not all(LEAST <= step <= MOST for step in steps) or cells.prod() > 64 * points.shape[1]:
         raise UnreadableFile(f"{name}: {points.shape[1]} points over {high - low} m are no map")
@@ -421,6 +424,20 @@ def cloud_map(name: str, points: Floats, placed: bool = False) -> MeasuredMap:
     shape = int(count[1]), int(count[0])
     known = (float(middle[0]), float(middle[1])) if placed else None
     return MeasuredMap(name, centred, (steps[0], steps[1]), shape, regular, known)
+
+
+def _spread(xy: Floats, low: Floats, high: Floats) -> float:
+    """Side of the squares that scattered points (2, n) fill: of their mean density, larger where they lie in
+    groups, as the corners of facets that are not merged.
+    """
+    side = float(np.sqrt(np.prod(high - low) / xy.shape[1]))
+    for _ in range(GROWN):
+        count = np.ceil((high - low) / side) + 1.0
+        column, row = np.floor((xy - low[:, None]) / side)
+        if len(np.unique(row * count[0] + column)) >= FILLED * np.prod((high - low) / side):
+            break
+        side *= np.sqrt(2.0)
+    return side
 
 
 def _step(values: Floats) -> float:
