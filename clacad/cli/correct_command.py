@@ -10,7 +10,7 @@ from clacad.base.text import mrad_text, plainly
 from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, option, overwrite_option, required
 from clacad.cli.console import Console
-from clacad.cli.option_values import BadOption, load_counted, parse_cell
+from clacad.cli.option_values import BadOption, cell_option, load_counted, tilted_option
 
 if TYPE_CHECKING:
     from clacad.making.correction import Correction
@@ -32,12 +32,8 @@ class Correct(OfDesign):
     side: str | None = option("--side front|back", "Side that the map shows; else by its name, or the front.")
     z_scale: str | None = option("--z-scale TEXT", "Scale of a map's heights, e.g. '1.0063 +- 1e-4'.")
     lateral_scale: str | None = option("--lateral-scale TEXT", "Lateral scale of a map.")
-    tilted: Path | None = option(
-        "--tilted MAP", "A map of the same field tilted by 8 deg: gives the z scale."
-    )
-    cell: tuple[int, int] | None = option(
-        "--cell I,J", "Cell of the sheet nearest to the middle of the map.", read=parse_cell
-    )
+    tilted: Path | None = tilted_option()
+    cell: tuple[int, int] | None = cell_option("Cell of the sheet nearest to the middle of the map.")
     unit: str | None = option("--unit WORD", "Length unit of a cloud x y z that states none, e.g. um.")
     calibration: Path | None = option(
         "--calibration CSV", "Level and depth by clacad calibrate: writes the dose of the command, too."

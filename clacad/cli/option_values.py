@@ -90,10 +90,14 @@ def own_overrides(count: int, overrides: Sequence[str]) -> list[tuple[str, ...]]
     return [tuple(changes) for changes in own]
 
 
-def cell_option() -> Any:
-    """Option of commands that work on the uniform sheet of one cell."""
-    about = "Of a non-uniform sheet: the uniform sheet of this cell."
+def cell_option(about: str = "Of a non-uniform sheet: the uniform sheet of this cell.") -> Any:
+    """Option of commands that work on the uniform sheet of one cell, or count cells from one."""
     return option("--cell I,J", about, None, read=parse_cell)
+
+
+def tilted_option() -> Any:
+    """Declare the second map of a field, from which the scale of heights follows."""
+    return option("--tilted MAP", "A map of the same field tilted by 8 deg: gives the z scale.")
 
 
 def of_cell(design: Design, cell: tuple[int, int] | None) -> Design:

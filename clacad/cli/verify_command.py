@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING
 from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesignAsMade, declared, flag, option
 from clacad.cli.console import Console, Progress, table
-from clacad.cli.option_values import BadOption, load_counted, parse_angle, parse_cell, parse_cells, per_format
+from clacad.cli.option_values import (
+    BadOption,
+    cell_option,
+    load_counted,
+    parse_angle,
+    parse_cells,
+    per_format,
+    tilted_option,
+)
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -47,12 +55,8 @@ class Verify(OfDesignAsMade):
     side: tuple[str, ...] = option("--side FILE=front|back", "Side that a map shows; else by its name.", ())
     z_scale: str | None = option("--z-scale TEXT", "Scale of a map's heights, e.g. '1.0063 +- 1e-4'.")
     lateral_scale: str | None = option("--lateral-scale TEXT", "Lateral scale of a map.")
-    tilted: Path | None = option(
-        "--tilted MAP", "A map of the same field tilted by 8 deg: gives the z scale."
-    )
-    cell: tuple[int, int] | None = option(
-        "--cell I,J", "Cell of the sheet nearest to the middle of the map.", read=parse_cell
-    )
+    tilted: Path | None = tilted_option()
+    cell: tuple[int, int] | None = cell_option("Cell of the sheet nearest to the middle of the map.")
     unit: str | None = option("--unit WORD", "Length unit of a cloud x y z that states none, e.g. um.")
 
 
