@@ -174,7 +174,7 @@ def test_a_slicers_repair_is_the_part_and_its_rounding_is_held_against_its_light
     # five digits are noise of half a unit in the last: 15 mrad of light where facets of that size make 9
     assert about["faithful_rms"] == "fail"
     assert report.word == "failed"
-    # as a scan its form and its light hold, but rounding leaves more texture than light can be told for
+    # as a scan its light is within the limits, but the texture of the rounding is beyond what its formula holds for
     scanned = judged(tmp_path, five, role="scan")
     assert states(scanned)["scan_light"] == "pass"
     (form,) = (check for check in scanned.checks if check.state == "fail")
