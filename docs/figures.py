@@ -320,16 +320,12 @@ def cloak_members(folder: Path) -> None:
     sys.path.insert(0, str(ROOT / "tests"))
     from scene.background import shift_and_blur
 
-    keys = {
-        "pair.separation": 5.0,
-        "pair.material": "EpoCore",
-        "pair.surface": "biconic",
-        "pair.field_lens": True,
-    }
     own = [("biconvex", -2.5, [0.15, 0.28]), ("biconvex", -4.4, [0.15, 0.46]), ("plano", -0.7, [0.12, 0.12])]
     window = package.load(ROOT / "designs" / "window-100mm.toml")
     bases = [
-        window.replace({**keys, "pair.form": form, "pair.conic": [conic] * 2, "pair.thickness": thickness})
+        window.replace(
+            {**CLOAK_KEYS, "pair.form": form, "pair.conic": [conic] * 2, "pair.thickness": thickness}
+        )
         for form, conic, thickness in own
     ]
     rows = []
@@ -430,8 +426,7 @@ def cloak_family(folder: Path) -> None:
     from clacad.advice.stack_designs import traced, wanted_matrix
     from clacad.advice.wanted_stack import Wanted, stack_of_three
 
-    keys = {"pair.separation": 5.0, "pair.material": "EpoCore", "pair.form": "biconvex", "pair.surface": "biconic",
-            "pair.conic": [-2.5, -2.5], "pair.thickness": [0.15, 0.28], "pair.field_lens": True}  # fmt: skip
+    keys = {**CLOAK_KEYS, "pair.form": "biconvex", "pair.conic": [-2.5, -2.5], "pair.thickness": [0.15, 0.28]}
     design = package.load(ROOT / "designs" / "window-100mm.toml").replace(keys)
     wish = Wanted("cloak", wanted_matrix("cloak", 1.0, 500.0), 5.0, 0.5, (485 / 3, 970 / 3), 25.0,
                   float(np.radians(1.0)), 1.2, 15.0, True)  # fmt: skip
@@ -490,6 +485,14 @@ def cloak_family(folder: Path) -> None:
 
 CLOAK = (-1.2, -0.94)
 """η of the first two sheets of `designs/scenes/cloak.toml`."""
+
+CLOAK_KEYS = {
+    "pair.separation": 5.0,
+    "pair.material": "EpoCore",
+    "pair.surface": "biconic",
+    "pair.field_lens": True,
+}
+"""Keys that its sheets, and those of its family, have in common."""
 
 
 FIGURES: Mapping[str, Callable[[Path], None]] = {

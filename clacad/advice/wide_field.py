@@ -112,10 +112,9 @@ class WideSearch:
             one = self._judged(starter, design)
             if not self._serves(one):
                 self.why.append(f"{starter}, scaled to the wish: {self._faults(one)}")
-                narrow = any(
-                    check.kind is THROUGHPUT for check in one.judged.failing
-                )  # of field: the form's own
-                for words in () if narrow else FREE:
+                # where light leaves its cells, the field is wider than that of the form: no faces mend it
+                vignetted = any(check.kind is THROUGHPUT for check in one.judged.failing)
+                for words in () if vignetted else FREE:
                     if not self._serves(one):
                         one = self._searched(starter, design, words) or one
             if self._serves(one):

@@ -108,33 +108,32 @@ LOST = "-"
 
 def _rows(found: Steered) -> list[tuple[str, ...]]:
     """Head and one row for each position."""
+    head: tuple[str, ...] = HEAD
+    rows = list(map(_row, found.positions))
     if found.axis == "z":
-        cells = [_row(one) for one in found.positions]
-        powers = [f"{one.power:.4g}" for one in found.positions]
-        rows = [(row[0], power, *row[3:6]) for row, power in zip(cells, powers, strict=True)]
-    else:
-        rows = list(map(_row, found.positions))
-    head = FOCUS if found.axis == "z" else HEAD
-    return [
-        (head[0].format(found.unit), *head[1:]),
-        *(tuple(c.replace("nan", LOST) for c in row) for row in rows),
-    ]
+        powers = [_known(one.power, ".4g") for one in found.positions]
+        head, rows = FOCUS, [(row[0], power, *row[3:6]) for row, power in zip(rows, powers, strict=True)]
+    return [(head[0].format(found.unit), *head[1:]), *rows]
+
+
+def _known(value: float, style: str, lost: str = LOST) -> str:
+    return format(value, style) if isfinite(value) else lost
 
 
 def _row(one: Position) -> tuple[str, ...]:
     """One position as text; slopes and spread in thousandths."""
     slopes, paraxial = (
-        ", ".join(f"{round(1e3 * value, 3) + 0.0:.4g}" for value in pair)
+        ", ".join(_known(round(1e3 * value, 3) + 0.0, ".4g") for value in pair)
         for pair in (one.slopes, one.closed_form)
     )
-    waves = [f"{v:.3f}" if isfinite(v) else "" for v in (one.efficiency, one.efficiency_on_order)]
+    waves = [_known(v, ".3f", "") for v in (one.efficiency, one.efficiency_on_order)]
     return (
         f"{one.travel:.4g}",
         slopes,
         paraxial,
-        mrad_text(one.spread, 3, unit=""),
+        mrad_text(one.spread, 3, unit="") if isfinite(one.spread) else LOST,
         percent_text(one.share, 1, fixed=True),
-        f"{one.exit_beam_over_pitch:.3f}",
+        _known(one.exit_beam_over_pitch, ".3f"),
         "{}, {}".format(*one.diffraction_order),
         *waves,
     )

@@ -334,35 +334,28 @@ def _light(
     one = lit_cell(asked, window)
     like = one.like.faces[window.number_of(face)]
     points, facets = held
+
+    def checks(what: str, shape: Callable[[Floats], AnyFace]) -> list[Check]:
+        through = made_bodies(one.like, like, one.index, shape)
+        what = f"{what} ({of.label}; the rest as designed)"
+        return light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)
+
     if facets is None:
         made, step = _made(one.like, like, of, points, one.index, compensation)
-        what = "form of the part that it makes, without roundings and texture"
-    else:
-        what = "facets of the part that it makes"
+        form = partial(sampled_face, one.like, like, samples=made, step=step)
+        return checks("form of the part that it makes, without roundings and texture", form)
+    local = _made_facets(like, of, facets, one.index, compensation)
 
-    def shape(place: Floats) -> AnyFace:
-        if facets is None:
-            return sampled_face(one.like, like, place, made, step)
-        there = _made_facets(one.like, like, of, facets, one.index, compensation) + place
+    def as_facets(place: Floats) -> AnyFace:
+        there = local + place
         return facet_face(there, place + [0.0, 0.0, like.vertex[2]], on_land(one.like, like, there))
 
-    through, what = (
-        made_bodies(one.like, like, one.index, shape),
-        f"{what} ({of.label}; the rest as designed)",
-    )
-    found = light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)
-    if facets is None:
-        return found
-    return [replace(softened(one), sentence=f"{one.sentence}; {CUT_FROM}") for one in found]
+    found = checks("facets of the part that it makes", as_facets)
+    return [replace(softened(check), sentence=f"{check.sentence}; {CUT_FROM}") for check in found]
 
 
 def _made_facets(
-    window: Window,
-    face: Face,
-    of: FaceFile,
-    facets: Floats,
-    cell: tuple[int, int],
-    compensation: Compensation,
+    face: Face, of: FaceFile, facets: Floats, cell: tuple[int, int], compensation: Compensation
 ) -> Floats:
     """Facets (t, 3, 3) of the part over a cell, cell frame, that those of an insert mould."""
     turned = face.side < 0

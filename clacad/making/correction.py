@@ -347,7 +347,7 @@ def correct(
     facts |= {"sha256": digest} if digest else {}
     found, doubt = _form(points, of)
     each = {} if cells is None else _forms(points, cells, of)
-    alone = [(found, doubt), *each.values()][1 if each else 0 :]
+    alone = [*each.values()] or [(found, doubt)]
     rms = [np.array([_rms(one, of.aperture, k == 1) for one in pair]) for k, pair in enumerate(zip(*alone))]
     made = replace(last, round=last.round + 1, rms=_mean(rms[0]), doubt=_mean(rms[1]))
     facts |= {"round": made.round, "rms": made.rms}
@@ -356,11 +356,11 @@ def correct(
     if why:
         return replace(made, round=last.round, stopped=why, notes=notes)
     own = dict(last.own) | {
-        cell: last.own.get(cell, np.zeros(TERMS)) + np.pad(found - form, (0, TERMS - len(found)))
-        for cell, (form, _) in each.items()
+        at: last.own.get(at, np.zeros(TERMS)) + np.pad(found - form, (0, TERMS - len(found)))
+        for at, (form, _) in each.items()
     }
-    heights_ = last.heights - _added(found, of)
-    return replace(made, heights=heights_, history=(*last.history, facts), notes=notes, own=own)
+    commanded = last.heights - _added(found, of)
+    return replace(made, heights=commanded, history=(*last.history, facts), notes=notes, own=own)
 
 
 def _form(points: Points, side: Side) -> tuple[Floats, Floats]:

@@ -266,13 +266,11 @@ def look(design: Design, window: Window, progress: Progress) -> Look:
             compiled=False,
             progress=lambda _, part: progress("looking through the sheet", part or 0.0),
         )
-    from clacad.verification.light.viewed import states_viewer
-
     mm = millimetres(window.unit)
     said = (
         f"a chess knight {place.height * mm:.4g} mm high on a chequered floor, {behind * mm:.4g} mm behind"
         f" the sheet; the eye is {-place.eye[2] * mm:.4g} mm before it, "
-        + ("as stated" if states_viewer(design) else "in the middle of the field of view")
+        + ("in the middle of the field of view" if _stated_eye(design, window) is None else "as stated")
     )
     how = (
         f"rung {through.passage.rung}; shown beyond refraction:"
@@ -295,7 +293,7 @@ def seen_by_viewer(design: Design, window: Window) -> bytes | None:
     from clacad.verification.light.viewed import viewer_of
 
     viewer = viewer_of(design)
-    if viewer[2] >= window.z_range[0] - max(window.lattice.pitch):
+    if not _before(window, viewer):
         return None
     behind = design.check.object
     place = _placed(window, viewer, (0.0, 0.0), 0.2 * -viewer[2] if behind is None else behind)
@@ -324,19 +322,32 @@ def _copy_table(design: Design, folder: Path) -> None:
         copy.write_bytes(read_regular(table_path(design.path, spec.table.file), BUDGETS["cell-table"].bytes))
 
 
+def _before(window: Window, viewer: tuple[float, float, float]) -> bool:
+    """Whether an eye is a pitch and more before the sheet."""
+    return viewer[2] < window.z_range[0] - max(window.lattice.pitch)
+
+
+def _stated_eye(design: Design, window: Window) -> tuple[float, float, float] | None:
+    """Where the design states the eye, before the sheet; else None."""
+    from clacad.verification.light.viewed import states_viewer, viewer_of
+
+    eye = viewer_of(design)
+    return eye if states_viewer(design) and _before(window, eye) else None
+
+
 def _in_field(design: Design, window: Window) -> tuple[_Viewpoint, float]:
     """The viewpoint of the page's large pictures, and the figure's distance behind the sheet.
 
     The eye is where the design states it, else in the middle of the field of view.
     """
-    from clacad.verification.light.viewed import states_viewer, viewer_of
-
-    wide, (x, y, z) = _width(window), viewer_of(design)
-    if states_viewer(design) and z < window.z_range[0] - max(window.lattice.pitch):
+    stated = _stated_eye(design, window)
+    if stated is not None:
+        x, y, z = stated
         eye, slope = -z, (x / z, y / z)
     else:
         half = min(half_field(thin_cells(window)))
-        eye, slope = float(np.clip(0.5 / (INSIDE * half), 4.0, 60.0)) * wide, aperture_slope(window)
+        eye = float(np.clip(0.5 / (INSIDE * half), 4.0, 60.0)) * _width(window)
+        slope = aperture_slope(window)
     behind = 0.2 * eye
     return _placed(window, (-eye * slope[0], -eye * slope[1], -eye), slope, behind), behind
 

@@ -223,21 +223,27 @@ def spheres(u, v):
     return np.sqrt(2.468143364277402**2 - u * u - v * v) - 2.468143364277402
 
 
-def test_cells_of_their_own_are_compared_each_with_its_own_design(tmp_path):
-    """Lenses 2 of an aimed sheet lie elsewhere in each cell; a part 3 % too low is corrected by 3 % of a lens."""
+def aimed():
+    """An aimed sheet, its window and back face; of the places of a map: cells (n, 2), and heights of lenses."""
     of = load(
         DESIGNS / "window-100mm.toml",
         ("lattice.count = [8, 8]", "lattice.aperture = {point = [0, 0, -3000]}"),
     )
     window = clacad.prescribe(of)
     face = window.faces[-1]
-    assert face.change is not None
     at = (np.arange(SIZE) - SIZE / 2.0) * PIXEL
     x, y = (-one.ravel() for one in np.meshgrid(at, at))  # of a back, seen from outside
     index, u, v = window.locate(face.array, x, y)
     cells, number = np.unique(index, axis=0, return_inverse=True)
     apex = np.array([window.in_cell(face, cell).vertex for cell in cells])[number.ravel()]
-    z = spheres(u - apex[:, 0], v - apex[:, 1]).reshape(SIZE, SIZE)
+    return of, window, face, index, spheres(u - apex[:, 0], v - apex[:, 1])
+
+
+def test_cells_of_their_own_are_compared_each_with_its_own_design(tmp_path):
+    """Lenses 2 of an aimed sheet lie elsewhere in each cell; a part 3 % too low is corrected by 3 % of a lens."""
+    of, _, face, _, z = aimed()
+    assert face.change is not None
+    z = z.reshape(SIZE, SIZE)
     found = correct(of, as_map(Instrument(noise=2e-6).measured(0.97 * z, 1)), side="back", z_scale=SURE)
     step = np.arange(-64, 64) / 128 * 0.5
     off = found.added() - 0.03 * spheres(*np.meshgrid(step, step))
@@ -255,19 +261,8 @@ def test_cells_of_their_own_are_compared_each_with_its_own_design(tmp_path):
 @pytest.mark.slow
 def test_what_a_lenslet_has_of_its_own_is_corrected_in_its_own_cell(tmp_path):
     """Every second lens 2 of an aimed sheet is 4 % too low, the others are right; two rounds take it off."""
-    of = load(
-        DESIGNS / "window-100mm.toml",
-        ("lattice.count = [8, 8]", "lattice.aperture = {point = [0, 0, -3000]}"),
-    )
-    window = clacad.prescribe(of)
-    face = window.faces[-1]
-    at = (np.arange(SIZE) - SIZE / 2.0) * PIXEL
-    x, y = (-one.ravel() for one in np.meshgrid(at, at))  # of a back, seen from outside
-    index, u, v = window.locate(face.array, x, y)
-    cells, number = np.unique(index, axis=0, return_inverse=True)
-    apex = np.array([window.in_cell(face, cell).vertex for cell in cells])[number.ravel()]
+    of, window, face, index, z = aimed()
     low = np.where(index.sum(axis=1) % 2, 0.04, 0.0)
-    z = spheres(u - apex[:, 0], v - apex[:, 1])
     middle = clacad.sheet.representative_cells.central_cell(window)
 
     def corrected(heights, **more):
