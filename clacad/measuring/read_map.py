@@ -428,10 +428,10 @@ def cloud_map(name: str, points: Floats, placed: bool = False) -> MeasuredMap:
 
 def _spread(xy: Floats, low: Floats, high: Floats) -> float:
     """Side of the squares that scattered points (2, n) fill: of their mean density, larger where they lie in
-    groups, as the corners of facets that are not merged.
+    groups, as the corners of facets that are not merged; 0 where they lie on a line.
     """
     side = float(np.sqrt(np.prod(high - low) / xy.shape[1]))
-    for _ in range(GROWN):
+    for _ in range(GROWN if side >= LEAST else 0):
         count = np.ceil((high - low) / side) + 1.0
         column, row = np.floor((xy - low[:, None]) / side)
         if len(np.unique(row * count[0] + column)) >= FILLED * np.prod((high - low) / side):
