@@ -23,7 +23,6 @@ from clacad.advice.lever_trials import (
     levers_of,
     mends,
     settings,
-    settled,
     size_of,
 )
 from clacad.base.interactive import shown_progress
@@ -159,7 +158,7 @@ def fix(design: Design, progress: Progress | None = None) -> Fixed:
         pass
     changes = _pruned(trials, best.changes) if best.bad == 0.0 else best.changes
     changed = design.replace(changes) if changes else design
-    return Fixed(changed, design, changes, trials.judged(changes), len(trials.made))
+    return Fixed(changed, design, changes, trials.judged(changes), trials.tried)
 
 
 def _pruned(trials: Trials, changes: Changes) -> Changes:
@@ -226,7 +225,7 @@ def _pulled(
     if lever.way == "shape":
         tuned = {k: before[k] for k in (PAIR.surface, PAIR.conic) if PAIR.conic in before}
         return trials.shaped(before, (tuned,) if tuned else values)
-    met = trials.nearest(before, values, lambda trial: all(settled(trial, c) for c in mine))
+    met = trials.nearest(before, values, mine)
     if met is not None:
         return met
     tried = [{**before, **one} for one in values if trials.knows({**before, **one})]

@@ -26,6 +26,7 @@ from clacad.advice.lever_trials import (
     settings,
     settled,
     size_of,
+    worst_slope,
 )
 from clacad.base.text import digits, plain, shown
 from clacad.base.types import Progress
@@ -210,7 +211,7 @@ def advise(design: Design, progress: Progress | None = None, judged: Judged | No
     from clacad.base.interactive import shown_progress
 
     judged = judge(design) if judged is None else judged
-    trials = Trials(design, TRIALS, shown_progress(progress), SECONDS)
+    trials = Trials(design, TRIALS, shown_progress(progress), SECONDS, worst_slope(judged))
     wanted = [*judged.failing, *judged.warning]
     found: list[Changes] = []
     try:
@@ -226,7 +227,7 @@ def advise(design: Design, progress: Progress | None = None, judged: Judged | No
     hinted = ((check, tuple(h for h in ranked if _names(h, check))[:MOST]) for check in wanted)
     told = tuple((check, of_it) for check, of_it in hinted if of_it or is_tried(check))
     free = sharper(judged, trials)
-    return Advice(judged, told, len(trials.made), free)
+    return Advice(judged, told, trials.tried, free)
 
 
 def _settings_that_mend(
@@ -239,16 +240,13 @@ def _settings_that_mend(
         after = None if shaped is None else trials.judged(shaped)
         does = after is not None and any(settled(after, c) for c in checks)
         return [shaped] if shaped is not None and does else []
-    together = trials.nearest({}, values, lambda trial: all(settled(trial, c) for c in checks))
+    together = trials.nearest({}, values, checks)
     if together is not None:
         return [together]
     if len(checks) == 1:
         return []
-
-    def mends(check: Check) -> Changes | None:
-        return trials.nearest({}, values, lambda trial: settled(trial, check))
-
-    return [changes for check in checks if (changes := mends(check)) is not None]
+    each = (trials.nearest({}, values, [check]) for check in checks)
+    return [changes for changes in each if changes is not None]
 
 
 def _each_once(found: Sequence[Changes]) -> list[Changes]:

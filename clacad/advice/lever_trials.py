@@ -10,18 +10,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from math import ceil, inf, isfinite, log10
 from time import process_time
 from typing import Any, Final
 
-from clacad.advice.judged import Judged, judge, tight
+import numpy as np
+
+from clacad.advice.judged import POINT_RAYS, RAYS, Judged, judge, tight
 from clacad.base.text import plain
-from clacad.base.types import Progress, silent
-from clacad.checks.check import Check, kinds, wrong
+from clacad.base.types import Pair2, Progress, silent
+from clacad.base.vectors import xy
+from clacad.checks.check import Check, CheckKind, kinds, wrong
 from clacad.checks.levers import FORMS, WORDS, Lever
-from clacad.checks.light_kinds import VIEWED
+from clacad.checks.light_kinds import LAW_BIAS, LAW_RMS, SPREAD, VIEWED
 from clacad.design import Design, DesignError
-from clacad.design.sections import BODY, LATTICE, PAIR
+from clacad.design.sections import BODY, LATTICE, PAIR, AimedAt
+from clacad.optics.rays import TraceResult
+from clacad.prescription.aimed_cells import AimPoint
+from clacad.prescription.prescribe import prescribe
+from clacad.sheet.bundle import Bundle
+from clacad.sheet.window import Window
+from clacad.tracing.trace import trace
+from clacad.verification.light.law_checks import law_checks
+from clacad.verification.light.through_window import Lit, optics_of
 
 Changes = Mapping[str, Any]
 """Values by dotted key, as `Design.replace` takes them."""
@@ -44,6 +56,12 @@ CONIC_STEPS: Final = (0.25, 0.12, 0.06, 0.03)
 ROOM: Final = 1.3
 """A process's length is also tried at this factor of the limit: from 1.25 on it is no longer near."""
 
+
+OF_ONE_CELL: Final = (LAW_RMS, LAW_BIAS, SPREAD)
+"""Checks of an aimed sheet that its worst cell decides by itself."""
+
+MISSED: Final = 1.06
+"""Least excess of that cell, steered, over a limit: its own light differs from it by up to 3 %."""
 
 INTENTS: Final = frozenset({LATTICE.aperture, BODY.border})
 """Keys that stay fixed where the design states them: the direction of its cells, and its flange."""
@@ -247,9 +265,6 @@ WEIGHTS: Final = {
 """Weight of a change of a key: other cells mean other pixels, faces other tools, an aperture another view."""
 
 
-Wish = Callable[[Judged], bool]
-"""Predicate that returns whether a trial is sufficient."""
-
 STAGE = "trying changed keys"
 
 
@@ -265,13 +280,16 @@ class Trials:
     most : Largest number of trials.
     progress : Called with the stage and the part of the trials made.
     seconds : Processor seconds after which no trial is begun.
+    slope : Slope of the light of the worst cell of an aimed sheet: `nearest` judges that cell first.
     """
 
     design: Design
     most: int
     progress: Progress = silent
     seconds: float = inf
+    slope: Pair2 | None = None
     made: dict[str, Judged | None] = field(default_factory=dict)
+    steered: dict[str, dict[CheckKind, Check]] = field(default_factory=dict)
     _begun: float = field(default_factory=process_time)
 
     def judged(self, changes: Changes) -> Judged | None:
@@ -292,20 +310,30 @@ class Trials:
                 self.made[name] = None
         return self.made[name]
 
+    @property
+    def tried(self) -> int:
+        """Designs that were tried."""
+        return len({*self.made, *self.steered})
+
     def knows(self, changes: Changes) -> bool:
         """Whether the design with these keys changed was tried."""
         return _name(changes) in self.made
 
-    def nearest(self, before: Changes, settings: Sequence[Changes], wish: Wish) -> Changes | None:
-        """First of a lever's settings, added to earlier changes, that is sufficient; None if none is found.
+    def nearest(
+        self, before: Changes, settings: Sequence[Changes], checks: Sequence[Check]
+    ) -> Changes | None:
+        """First of a lever's settings, added to earlier changes, that mends all the checks; None if none does.
 
         Settings are tried in growing strides, then by bisection. The result is the nearest one if no farther
         setting is insufficient again.
         """
 
         def does(k: int) -> bool:
-            judged = self.judged({**before, **settings[k]})
-            return judged is not None and wish(judged)
+            changes = {**before, **settings[k]}
+            if self.slope is not None and self._misses(changes, checks, self.slope):
+                return False
+            judged = self.judged(changes)
+            return judged is not None and all(settled(judged, c) for c in checks)
 
         failed, stride = -1, 1
         while failed < len(settings) - 1:
@@ -317,6 +345,25 @@ class Trials:
                 return {**before, **settings[here]}
             failed, stride = here, 2 * stride
         return None
+
+    def _misses(self, changes: Changes, checks: Iterable[Check], slope: Pair2) -> bool:
+        """Whether the cell for light of a slope alone misses a limit so far that the sheet does, too.
+
+        It is judged in the uniform sheet that is steered for that light: its cell of array 2 is wider by
+        some hundredths, so what is within `MISSED` of a limit is left to the whole sheet.
+        """
+        name = _name(changes)
+        if name not in self.steered:
+            asked = {LATTICE.aperture: list(slope), PAIR.offset: self.design.pair.offset or "traced"}
+            try:
+                design = self.design.replace({**changes, **asked})
+                window = prescribe(design)
+            except DesignError:
+                return False
+            seen = optics_of(design, window, partial(_sent, window), RAYS // 4, POINT_RAYS // 4)
+            self.steered[name] = {c.kind: c for c in law_checks(Lit(design, window, window, seen))}
+        mine = (self.steered[name][c.kind] for c in checks if c.kind in OF_ONE_CELL)
+        return any(isinstance(c.value, float) and c.value > MISSED * float(c.limit or inf) for c in mine)
 
     def shaped(self, before: Changes, settings: Sequence[Changes]) -> Changes | None:
         """Conic nearest to passing, among some settings and then finer ones; None if none can be built."""
@@ -334,6 +381,22 @@ class Trials:
 
     def _bad(self, changes: Changes) -> float:
         return badness(self.judged(changes), self.design)
+
+
+def _sent(window: Window, lit: Bundle) -> TraceResult:
+    return trace(window, lit.rays, path="size")
+
+
+def worst_slope(judged: Judged) -> Pair2 | None:
+    """Slope of the light of the cell that fails most in an aimed sheet of one law; None for other sheets."""
+    design, aim = judged.design, judged.design.lattice.aperture
+    cell = next(
+        (c.detail["cell"] for c in judged.failing if c.kind in OF_ONE_CELL and "cell" in c.detail), None
+    )
+    alike = design.law_spec.varying is None and design.pair.focus is None and not design.pair.field_lens
+    if cell is None or not alike or not isinstance(aim, AimedAt):
+        return None
+    return xy(AimPoint(aim.point).slopes(judged.window.centres(0, np.array(cell))))
 
 
 def _name(changes: Changes) -> str:

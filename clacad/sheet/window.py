@@ -577,6 +577,7 @@ def lens_height(face: Face, x: Floats, y: Floats) -> Floats:
     A vertical ray is intersected with the surface in the lens frame. The quadric's cancellation-free root
     keeps the relative accuracy of the height above the apex, even for very flat lenses.
     """
+    face = face.simplified
     if face.untilted and isinstance(face.surface, Quadric):
         sag = upright_sag(face.surface, np.asarray(x) - face.vertex[0], np.asarray(y) - face.vertex[1])
         if sag is not None:
@@ -590,6 +591,7 @@ def lens_height_and_normal(face: Face, x: Floats, y: Floats) -> tuple[Floats, Fl
 
     NaN where `lens_height` is NaN.
     """
+    face = face.simplified
     x, y = np.broadcast_arrays(np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64))
     vx, vy, vz = face.vertex
     start = np.stack([x - vx, y - vy, np.zeros(x.shape)], axis=-1).reshape(-1, 3)

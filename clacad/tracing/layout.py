@@ -172,7 +172,7 @@ def _laid_out(window: Window) -> Layout:
     sampled = _sample_cell(window)
     return Layout(
         window=window,
-        bodies=tuple(_plan_body(window, body, sampled) for body in window.bodies),
+        bodies=tuple(_plan_body(window, body.simplified, sampled) for body in window.bodies),
         halves=_half_widths(lattice),
         margin=0.5 * window.land.seam,
         **array_numbers(lattice, window.placements),
