@@ -60,9 +60,6 @@ ROOM: Final = 1.3
 OF_ONE_CELL: Final = (LAW_RMS, LAW_BIAS, SPREAD)
 """Checks of an aimed sheet that its worst cell decides by itself."""
 
-MISSED: Final = 1.06
-"""Least excess of that cell, steered, over a limit: its own light differs from it by up to 3 %."""
-
 INTENTS: Final = frozenset({LATTICE.aperture, BODY.border})
 """Keys that stay fixed where the design states them: the direction of its cells, and its flange."""
 
@@ -289,7 +286,7 @@ class Trials:
     seconds: float = inf
     slope: Pair2 | None = None
     made: dict[str, Judged | None] = field(default_factory=dict)
-    steered: dict[str, dict[CheckKind, Check]] = field(default_factory=dict)
+    steered: dict[str, frozenset[CheckKind]] = field(default_factory=dict)
     _begun: float = field(default_factory=process_time)
 
     def judged(self, changes: Changes) -> Judged | None:
@@ -322,7 +319,7 @@ class Trials:
     def nearest(
         self, before: Changes, settings: Sequence[Changes], checks: Sequence[Check]
     ) -> Changes | None:
-        """First of a lever's settings, added to earlier changes, that mends all the checks; None if none does.
+        """First of a lever's settings, added to earlier changes, that mends all checks; None if none does.
 
         Settings are tried in growing strides, then by bisection. The result is the nearest one if no farther
         setting is insufficient again.
@@ -349,21 +346,31 @@ class Trials:
     def _misses(self, changes: Changes, checks: Iterable[Check], slope: Pair2) -> bool:
         """Whether the cell for light of a slope alone misses a limit so far that the sheet does, too.
 
-        It is judged in the uniform sheet that is steered for that light: its cell of array 2 is wider by
-        some hundredths, so what is within `MISSED` of a limit is left to the whole sheet.
+        It is judged in the uniform sheet that is steered for that light. Its cells of array 2 are narrower or
+        wider than those of the aimed sheet by the separation over the viewer's distance, and aberrations grow
+        as the third power of a width: what misses a limit by less than the fourth is left to the whole sheet.
         """
         name = _name(changes)
         if name not in self.steered:
+            self.steered[name] = frozenset()
             asked = {LATTICE.aperture: list(slope), PAIR.offset: self.design.pair.offset or "traced"}
             try:
                 design = self.design.replace({**changes, **asked})
                 window = prescribe(design)
             except DesignError:
                 return False
+            assert isinstance(self.design.lattice.aperture, AimedAt)
+            room = (1.0 + window.thin.separation / abs(self.design.lattice.aperture.point[2])) ** 4
             seen = optics_of(design, window, partial(_sent, window), RAYS // 4, POINT_RAYS // 4)
-            self.steered[name] = {c.kind: c for c in law_checks(Lit(design, window, window, seen))}
-        mine = (self.steered[name][c.kind] for c in checks if c.kind in OF_ONE_CELL)
-        return any(isinstance(c.value, float) and c.value > MISSED * float(c.limit or inf) for c in mine)
+            found = law_checks(Lit(design, window, window, seen))
+            self.steered[name] = frozenset(
+                c.kind
+                for c in found
+                if c.kind in OF_ONE_CELL
+                and isinstance(c.value, float)
+                and c.value > room * float(c.limit or inf)
+            )
+        return any(check.kind in self.steered[name] for check in checks)
 
     def shaped(self, before: Changes, settings: Sequence[Changes]) -> Changes | None:
         """Conic nearest to passing, among some settings and then finer ones; None if none can be built."""

@@ -136,15 +136,18 @@ class BodyMesh:
 
         Uniform sheets only.
         """
-        lattice = self.window.lattice
-        counts: dict[int, list[int]] = {}
-        templates: dict[int, tuple[Template, Lattice]] = {}
+        cells, times = _distinct_cells(self.window.lattice)
+        found: dict[int, tuple[Template, Lattice, int]] = {}
         for tiled in (one for one in self.tiled if one.own is None):
-            for j, times in _distinct_rows(lattice.count[1], lattice.outline is None):
-                for block in _row_blocks(self, tiled, lattice.row(j)):
-                    templates[id(block.template)] = block.template, tiled.lattice
-                    counts.setdefault(id(block.template), []).append(times * len(block.cells))
-        return tuple((*templates[key], sum(number)) for key, number in counts.items())
+            states = _states(self, tiled, cells)
+            code = states @ 3 ** np.arange(states.shape[1])  # one number a state: faster than rows
+            _, first, which = np.unique(code, return_index=True, return_inverse=True)
+            numbers = np.bincount(which, times)
+            for kind, number in zip(states[first], numbers.astype(int).tolist(), strict=True):
+                template = tiled.maker.template(kind)
+                before = found.get(id(template), (template, tiled.lattice, 0))[2]
+                found[id(template)] = template, tiled.lattice, before + number
+        return tuple(found.values())
 
     @property
     def facet_count(self) -> int:
@@ -162,11 +165,14 @@ class BodyMesh:
         if self.cells is not None:
             return _count(self)
         total = len(self.plain.triangles) + sum(len(t.triangles) * number for t, _, number in self.census)
-        if any(tiled.own is not None for tiled in self.tiled):
-            cells = representative_cells(self.window, "sample", JUDGED)
-            blocks = (block for block in self.part(cells).blocks() if not isinstance(block, CellBlock))
-            total += sum(len(block.facets) for block in blocks) * self.window.lattice.cell_count // len(cells)
-        return total
+        cells = representative_cells(self.window, "sample", JUDGED)
+        own = (tiled for tiled in self.tiled if tiled.own is not None)
+        blocks = (
+            block for tiled in own for block in own_blocks(tiled, [cells], partial(_states, self, tiled))
+        )
+        return total + sum(len(block.facets) for block in blocks) * self.window.lattice.cell_count // len(
+            cells
+        )
 
     def rows(self) -> Iterator[Floats]:
         """Yield all triangles as (k, 3, 3) corner blocks of at most a row (lengths, sheet frame, outward).
@@ -379,13 +385,14 @@ _NAMED_UNITS = {1e-6: "microns", 1e-3: "mm", 1e-2: "cm", 1.0: "m", 0.0254: "inch
 """Metres → word of trimesh for the unit."""
 
 
-def _distinct_rows(count: int, full: bool) -> list[tuple[int, int]]:
-    """Representative rows: (row, number of equal rows). Inner rows of a full lattice repeat in pairs."""
-    if not full or count <= 6:
-        return [(j, 1) for j in range(count)]
-    inner = range(2, count - 2)
-    even, odd = sum(1 for j in inner if j % 2 == 0), sum(1 for j in inner if j % 2)
-    return [(0, 1), (1, 1), (2, even), (3, odd), (count - 2, 1), (count - 1, 1)]
+def _distinct_cells(lattice: Lattice) -> tuple[Ints, Ints]:
+    """Kept cells (n, 2) and how often each counts, (n,): inner rows of a full lattice repeat in pairs."""
+    (n1, n2), inner = lattice.count, max(0, lattice.count[1] - 4)
+    if lattice.outline is not None or inner < 3:
+        cells = lattice.cells()
+        return cells, np.ones(len(cells), dtype=np.int64)
+    rows = [(0, 1), (1, 1), (2, inner - inner // 2), (3, inner // 2), (n2 - 2, 1), (n2 - 1, 1)]
+    return np.concatenate([lattice.row(j) for j, _ in rows]), np.repeat([times for _, times in rows], n1)
 
 
 def _weld(key: Ints, position: Floats, triangles: Ints) -> tuple[Floats, Ints]:

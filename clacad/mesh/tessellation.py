@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import groupby
 from math import ceil
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,7 @@ from clacad.mesh.cell_blocks import OwnBlock
 from clacad.mesh.cell_template import BACK, BACK_LAND, FRONT, FRONT_LAND, WALL, Template, TemplateMaker
 from clacad.mesh.health import facet_errors
 from clacad.mesh.integer_heights import NONE, CellLevels, merge_steps, z_step
-from clacad.mesh.land_ring import Key, LandRing, Tiled, make_land
+from clacad.mesh.land_ring import Key, LandRing, Segment, Tiled, make_land
 from clacad.mesh.prototile import make_prototile
 from clacad.sheet.grid_steps import plate_of
 from clacad.sheet.lattice import Lattice
@@ -82,8 +84,9 @@ def make_plain(window: Window, tiled: tuple[Tiled, ...], step: float) -> Plain:
     else:
         _sheet(build, lands[0], tiled[0].maker.tile.land[0], FRONT_LAND, 0)
         _sheet(build, lands[1], tiled[1].maker.tile.land[1], BACK_LAND, 1)
-        for side in range(1 + max(segment[0] for segment in lands[0].rim)):
-            chains = [_chain(build, lands[n], tiled[n], side, n) for n in (0, 1)]
+        sides = [[list(side) for _, side in groupby(land.rim, itemgetter(0))] for land in lands]
+        for segments in zip(*sides, strict=True):
+            chains = [_chain(build, lands[n], tiled[n], segments[n], n) for n in (0, 1)]
             _zip(build, chains[0], chains[1])
     return build.done()
 
@@ -117,10 +120,11 @@ def _quad(build: _Builder, land: LandRing, p: Key, q: Key, front: int, back: int
     build.kind += [WALL, WALL]
 
 
-def _chain(build: _Builder, land: LandRing, tiled: Tiled, side: int, face: int) -> list[tuple[float, int]]:
+def _chain(
+    build: _Builder, land: LandRing, tiled: Tiled, segments: list[Segment], face: int
+) -> list[tuple[float, int]]:
     """The face's edge along one side of the outline: (distance, vertex), jumps between cells included."""
     chain: list[tuple[float, int]] = []
-    segments = [s for s in land.rim if s[0] == side]
     origin = np.array(land.position[segments[0][1]])
     own = iter(tiled.border_levels([s[3] for s in segments if s[3] is not None], face))
     for _, p, q, cell in segments:

@@ -23,7 +23,7 @@ from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.sections import LATTICE
 from clacad.optics.rays import Fate
 from clacad.optics.sequence import Interface, cross, launch, pass_on, unit_directions
-from clacad.optics.surface.sag_and_normal import stretched
+from clacad.optics.surface.sag_and_normal import simplest, stretched
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.face_order import refractions
 from clacad.sheet.like_cell import interfaces
@@ -223,6 +223,8 @@ def _powers(t: Floats, degree: int) -> Floats:
 def _solved(window: Window, light: CellLight, start: Floats | None = None) -> Floats:
     """Moves (m, 2) of lens 2, each by its own secant iteration from `start`, all traced together."""
     seq, points, owners = interfaces(window), _cell_points(window, light.own), _owners(window)
+    if light.own is None or light.own.aspect is None:  # a quadric is stretched otherwise than its biconic
+        seq = [replace(one, surface=simplest(one.surface)) for one in seq]
     slopes, asked = light.slopes, light.asked
     if not np.isfinite(asked).all():
         raise NoSuchLens("the law gives no direction for light of this slope", light.key, code="CL123")

@@ -9,11 +9,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from clacad.advice import advise, fewest_keys, fix, judge
-from clacad.advice.lever_trials import levers_of, settings
+from clacad.advice import advise, fewest_keys, fix, hints, judge
+from clacad.advice.lever_trials import Trials, levers_of, settings, worst_slope
 from clacad.checks.check import kinds
 from clacad.checks.design_kinds import EDGE
-from clacad.checks.light_kinds import RESIDUAL
+from clacad.checks.light_kinds import LAW_BIAS, LAW_RMS, RESIDUAL
 from clacad.cli.entry_point import main
 from clacad.design import Design, load
 from clacad.prescription.prescribe import prescribe
@@ -255,3 +255,42 @@ def test_what_is_no_slab_of_ellipsoids_is_told_of_nothing_that_costs_nothing():
         load(designs / "window-100mm.toml", ['pair.surface="biconic"']),
     ):
         assert advise(design).sharper is None
+
+
+def aimed_off_axis(limit):
+    """Sixteen cells aimed so far aside that their light fails."""
+    keys = {
+        "lattice.count": [4, 4],
+        "lattice.aperture": {"point": [12, 3, -105]},
+        "check.process": "none",
+        "check.law_rms": limit,
+    }
+    return load("window-100mm").replace(keys)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("viewer", [-105, 400])
+def test_what_the_worst_cell_of_an_aimed_sheet_rejects_fails_in_the_whole_sheet_and_what_surely_passes_is_kept(
+    viewer,
+):
+    design = aimed_off_axis("0.3 mrad").replace({"lattice.aperture": {"point": [viewer / -8.75, 3, viewer]}})
+    whole = judge(design)
+    slope = worst_slope(whole)
+    for factor, rejects in ((0.5, True), (1.1, False)):
+        limits = {
+            f"check.{kind.id}": f"{factor * whole.measured(kind)!r} rad" for kind in (LAW_RMS, LAW_BIAS)
+        }
+        trials = Trials(design.replace(limits), 60, slope=slope)
+        assert [trials._misses({}, [c], slope) for c in whole.light if c.kind in (LAW_RMS, LAW_BIAS)] == [
+            rejects
+        ] * 2
+
+
+@pytest.mark.slow
+def test_trials_that_begin_with_the_worst_cell_advise_what_trials_of_whole_sheets_do(monkeypatch):
+    design = aimed_off_axis("0.3 mrad")
+    judged = judge(design)
+    first = advise(design, None, judged)
+    monkeypatch.setattr(hints, "worst_slope", lambda _: None)
+    assert first.to_dict() == advise(design, None, judged).to_dict()
+    assert any(found for _, found in first.hints)
