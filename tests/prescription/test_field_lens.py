@@ -19,7 +19,7 @@ from clacad.light.confocality import confocality
 from clacad.optics.law import angle_between
 from clacad.optics.sequence import trace_sequence
 from clacad.sheet.bundle import bundle
-from clacad.sheet.like_cell import interfaces
+from clacad.sheet.like_cell import interfaces, like_cell
 from clacad.sheet.vignetting import aperture_slope, ghost_onset, half_field, share, thin_cells
 from clacad.verification.evidence import foci
 
@@ -269,6 +269,36 @@ def test_light_of_the_law_is_weighed_with_the_field_lens():
     np.testing.assert_allclose(
         lit_widths(cells, directions, np.zeros((3, 2), dtype=np.int32)), 0.5, rtol=1e-12
     )
+
+
+CELLS = {"lattice__count": [20, 20], "check__process": "none"}
+LAWS = {
+    "law__eta": [-1.2, -1.2],
+    "law__delta": [0.01, 0.02],
+    "law__varying": {"gradient": [[-4e-3, 1e-3], [0.0, -5e-3]]},
+}
+
+
+@pytest.mark.parametrize(
+    "keys", [LAWS, LAWS | {"lattice__aperture": {"point": [1, 2, -300]}}], ids=["varying", "and aimed"]
+)
+@pytest.mark.parametrize("cell", [(0, 0), (15, 3), (10, 11)])
+def test_the_thin_pair_of_one_cell_keeps_its_own_law_and_images_lens_1_onto_its_partner(keys, cell):
+    """Three thin lenses by hand: x += d t, t -= (x - c)/f; t leaves as (t - delta)/eta, x arrives at C2 + eta x."""
+    window = prescribe(sheet(**CELLS, **keys))
+    pair, law = like_cell(window, np.array(cell)).thin, window.law_at(np.array(cell))
+    (lens,), s = pair.field, pair.separation
+    for axis, eta, delta in ((0, law.eta_x, law.delta_x), (1, law.eta_y, law.delta_y)):
+        first, second = s / (1.0 - eta), -eta * s / (1.0 - eta)
+        assert (lens.depth, pair.focal_length[1][axis]) == pytest.approx((first, second), rel=1e-12)
+        for start, slope in ((0.0, 0.0), (0.2, 0.03), (-0.1, -0.05)):
+            x, t = start, slope - start / pair.focal_length[0][axis]
+            x += lens.depth * t
+            t -= (x - pair.shift[axis] * lens.depth / s) / lens.focal_length[axis]
+            x += (s - lens.depth) * t
+            t -= (x - pair.offset[axis]) / pair.focal_length[1][axis]
+            assert t == pytest.approx((slope - delta) / eta, abs=1e-12)
+            assert x == pytest.approx(pair.shift[axis] + eta * start, abs=1e-12)
 
 
 @pytest.mark.slow
