@@ -38,6 +38,7 @@ def trace_surfaces(layout: Layout, ledger: Ledger, rows: Rows, media: Sequence[f
 
     media : refractive index before the first face and behind each
     """
+    waiting: list[tuple[Beam, Floats]] = []
     for first in range(0, len(rows), BLOCK):
         chosen = rows[first : first + BLOCK]
         first_body = layout.bodies[0]
@@ -49,8 +50,18 @@ def trace_surfaces(layout: Layout, ledger: Ledger, rows: Rows, media: Sequence[f
             straight = in_cell(layout, media, beam, carried)
         straight.enter(layout, ledger)
         rest = np.flatnonzero(~straight.good)
-        if len(rest):
-            walk(layout, ledger, media, beam.take(rest), carried[rest])
+        waiting += [(beam.take(rest), carried[rest])] if len(rest) else []
+        if sum(len(kept) for _, kept in waiting) >= BLOCK:
+            _walk(layout, ledger, media, waiting)
+            waiting = []
+    if waiting:
+        _walk(layout, ledger, media, waiting)
+
+
+def _walk(layout: Layout, ledger: Ledger, media: Sequence[float], waiting: list[tuple[Beam, Floats]]) -> None:
+    """Walk the rays of several blocks together: few rays cost as much as many."""
+    beams, carried = zip(*waiting, strict=True)
+    walk(layout, ledger, media, Beam.joined(beams), np.concatenate(carried))
 
 
 @dataclass(frozen=True, eq=False)
