@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from math import ceil, inf, isfinite, log10
 from time import process_time
 from typing import Any, Final
@@ -26,12 +25,9 @@ from clacad.checks.levers import FORMS, WORDS, Lever
 from clacad.checks.light_kinds import LAW_BIAS, LAW_RMS, SPREAD, VIEWED
 from clacad.design import Design, DesignError
 from clacad.design.sections import BODY, LATTICE, PAIR, AimedAt
-from clacad.optics.rays import TraceResult
 from clacad.prescription.aimed_cells import AimPoint
 from clacad.prescription.prescribe import prescribe
-from clacad.sheet.bundle import Bundle
-from clacad.sheet.window import Window
-from clacad.tracing.trace import trace
+from clacad.tracing.worst_cell import SeenCell
 from clacad.verification.light.law_checks import law_checks
 from clacad.verification.light.through_window import Lit, optics_of
 
@@ -361,14 +357,11 @@ class Trials:
                 return False
             assert isinstance(self.design.lattice.aperture, AimedAt)
             room = (1.0 + window.thin.separation / abs(self.design.lattice.aperture.point[2])) ** 4
-            seen = optics_of(design, window, partial(_sent, window), RAYS // 4, POINT_RAYS // 4)
-            found = law_checks(Lit(design, window, window, seen))
+            cell = SeenCell(window, window, np.zeros(2, dtype=np.int64))
+            seen = optics_of(design, window, cell.send, RAYS // 4, POINT_RAYS // 4)
+            light = (c for c in law_checks(Lit(design, window, window, seen)) if c.kind in OF_ONE_CELL)
             self.steered[name] = frozenset(
-                c.kind
-                for c in found
-                if c.kind in OF_ONE_CELL
-                and isinstance(c.value, float)
-                and c.value > room * float(c.limit or inf)
+                c.kind for c in light if isinstance(c.value, float) and c.value > room * float(c.limit or inf)
             )
         return any(check.kind in self.steered[name] for check in checks)
 
@@ -390,20 +383,14 @@ class Trials:
         return badness(self.judged(changes), self.design)
 
 
-def _sent(window: Window, lit: Bundle) -> TraceResult:
-    return trace(window, lit.rays, path="size")
-
-
 def worst_slope(judged: Judged) -> Pair2 | None:
     """Slope of the light of the cell that fails most in an aimed sheet of one law; None for other sheets."""
     design, aim = judged.design, judged.design.lattice.aperture
-    cell = next(
-        (c.detail["cell"] for c in judged.failing if c.kind in OF_ONE_CELL and "cell" in c.detail), None
-    )
+    cells = [c.detail["cell"] for c in judged.failing if c.kind in OF_ONE_CELL and "cell" in c.detail]
     alike = design.law_spec.varying is None and design.pair.focus is None and not design.pair.field_lens
-    if cell is None or not alike or not isinstance(aim, AimedAt):
+    if not (cells and alike and isinstance(aim, AimedAt)):
         return None
-    return xy(AimPoint(aim.point).slopes(judged.window.centres(0, np.array(cell))))
+    return xy(AimPoint(aim.point).slopes(judged.window.centres(0, np.array(cells[0]))))
 
 
 def _name(changes: Changes) -> str:

@@ -123,9 +123,13 @@ def outlook(window: Window, design: Design | None = None) -> list[dict[str, Any]
     except LimitRefused as refusal:  # reported without counting: counting facets walks along the outline
         return [{"format": one.word, "refused": str(refusal)} for one in common]
     meshes = [one.word for one in common if one.is_mesh]
-    chosen, unbuilt = {}, []
+    chosen: dict[str, ChosenMesh] = {}
+    unbuilt = []
     try:
-        chosen = _default_meshes(design, window, meshes)
+        if design is not None:
+            from clacad.exporting.quads_and_roles import default_meshes
+
+            chosen = default_meshes(design, window, meshes)
     except ValueError as problem:
         if getattr(problem, "exit_status", None) is None:
             raise
@@ -134,15 +138,6 @@ def outlook(window: Window, design: Design | None = None) -> list[dict[str, Any]
     sheet = RoughSheet.of_window(window)
     rows = [one.at_a_glance(window, sheet, chosen.get(one.word)) for one in common if one.at_a_glance]
     return [*(row.to_dict() | {"refused": _refusal(window, row)} for row in timed(rows)), *unbuilt]
-
-
-def _default_meshes(design: Design | None, window: Window, words: Sequence[str]) -> dict[str, ChosenMesh]:
-    """Mesh files of an export with default options; none without a design."""
-    if design is None:
-        return {}
-    from clacad.exporting.quads_and_roles import default_meshes
-
-    return default_meshes(design, window, words)
 
 
 def _refusal(window: Window, row: Forecast) -> str | None:

@@ -219,10 +219,14 @@ class BodyMesh:
         return self._expanded[1]
 
     def volume(self) -> float:
-        """Volume by the divergence sum over the templates (length³), compensated."""
+        """Volume by the divergence sum over the templates and the land (length³), compensated."""
         if self.own:
             return fsum(float(flux(corners).sum()) for corners in self.rows())
-        return mesh_volume(self)
+        parts = flux(self.plain.corners).tolist()
+        for template, lattice, number in self.census:
+            corners = template.local(lattice)[template.triangles]
+            parts.append(number * fsum(flux(corners).tolist()))
+        return fsum(parts)
 
 
 def _row_blocks(mesh: BodyMesh, tiled: Tiled, row: Ints) -> Iterator[CellBlock]:
@@ -277,16 +281,6 @@ def facet_tags(mesh: BodyMesh) -> Iterator[tuple[NDArray[np.uint8], Ints]]:
         yield block.tags(first, last)
     if len(mesh.plain.triangles):
         yield mesh.plain.kind, np.full((len(mesh.plain.triangles), 2), -(2**31), dtype=np.int64)
-
-
-def mesh_volume(mesh: BodyMesh) -> float:
-    """Sum the flux over the templates, each times its number, and over the land (length³)."""
-    parts: list[float] = []
-    for template, lattice, number in mesh.census:
-        corners = template.local(lattice)[template.triangles]
-        parts.append(number * fsum(flux(corners).tolist()))
-    parts += flux(mesh.plain.corners).tolist()
-    return fsum(parts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,20 +74,18 @@ def make_plain(window: Window, tiled: tuple[Tiled, ...], step: float) -> Plain:
     centre = tiled[0].shift if own else (0.0, 0.0)
     lands = [make_land(window, t, centre) for t in tiled]
     build = _Builder(step)
-    if len(tiled) == 1:
-        front, back = tiled[0].maker.tile.land
-        _sheet(build, lands[0], front, FRONT_LAND, 0)
-        _sheet(build, lands[0], back, BACK_LAND, 0)
+    last = len(tiled) - 1
+    for side, kind in enumerate((FRONT_LAND, BACK_LAND)):
+        of = min(side, last)
+        _sheet(build, lands[of], tiled[of].maker.tile.land[side], kind, of)
+    if last == 0:
         for _, p, q, cell in lands[0].rim:
             if cell is None:
-                _quad(build, lands[0], p, q, front, back)
-    else:
-        _sheet(build, lands[0], tiled[0].maker.tile.land[0], FRONT_LAND, 0)
-        _sheet(build, lands[1], tiled[1].maker.tile.land[1], BACK_LAND, 1)
-        sides = [[list(side) for _, side in groupby(land.rim, itemgetter(0))] for land in lands]
-        for segments in zip(*sides, strict=True):
-            chains = [_chain(build, lands[n], tiled[n], segments[n], n) for n in (0, 1)]
-            _zip(build, chains[0], chains[1])
+                _quad(build, lands[0], p, q, *tiled[0].maker.tile.land)
+        return build.done()
+    sides = [[list(side) for _, side in groupby(land.rim, itemgetter(0))] for land in lands]
+    for pair in zip(*sides, strict=True):
+        _zip(build, *(_chain(build, lands[n], tiled[n], pair[n], n) for n in (0, 1)))
     return build.done()
 
 
@@ -320,16 +318,6 @@ def _parts(window: Window, body: Body, merge: float | None, bevel: float = 0.0) 
     return _Parts(window, body, cells, step, gap, bevel)
 
 
-def count_facets(window: Window, quads: int) -> int:
-    """Exact number of triangles of the mesh with this number of quads, without expanding it."""
-    return tessellate(window, quads=quads).facet_count
-
-
-def forecast_bytes(window: Window, quads: int) -> int:
-    """Size of the binary STL files of all bodies together (84 bytes each, and 50 per triangle)."""
-    return 84 * len(window.bodies) + 50 * count_facets(window, quads)
-
-
 def slope_error_at(window: Window, quads: int) -> float:
     """The slope error (radians) of the mesh with this number of quads."""
     worst = 0.0
@@ -364,42 +352,6 @@ def forecast_quads(window: Window, slope_error: float) -> int:
         f"a slope error of {slope_error:.3g} rad needs more than {MOST_QUADS} quads a cell side "
         f"({guess}); {slope_error_at(window, 64):.3g} rad takes 64"
     )
-
-
-@dataclass(frozen=True, eq=False)
-class CellSolid:
-    """One closed column of a body, in the cell frame, for instanced formats.
-
-    vertices : (v, 3) lengths
-    triangles : (t, 3), outward
-    kind : (t,) uint8
-        FRONT, FRONT_LAND, BACK, BACK_LAND or WALL of `clacad.mesh.cell_template`.
-    normals : (t, 3, 3)
-        Outward unit normals at the corners: exact on optical facets, the facet's own elsewhere.
-    """
-
-    vertices: Floats
-    triangles: Ints
-    kind: NDArray[np.uint8]
-    normals: Floats
-
-
-def cell_solid(window: Window, body: Body, quads: int) -> CellSolid:
-    """Mesh one telescopelet's column of a body as a separate closed solid, centred on its cell.
-
-    Raises
-    ------
-    ValueError
-        The body's faces repeat on displaced arrays: no cell of it is a column.
-    """
-    alone = window.with_cells((1, 1))
-    mesh = mesh_body(alone, alone.bodies[window.bodies.index(body)], quads)
-    if len(mesh.tiled) > 1:
-        raise ValueError(f"body {body.name!r} has displaced faces: none of its cells is a solid of its own")
-    maker = mesh.tiled[0].maker
-    template = maker.template(np.zeros(len(maker.offsets), dtype=np.uint8))
-    normals = template_normals(window.lattice, body, template)
-    return CellSolid(template.local(window.lattice), template.triangles, template.kind, normals)
 
 
 def template_normals(lattice: Lattice, body: Body, template: Template) -> Floats:
@@ -463,11 +415,6 @@ def shaded_rows(mesh: BodyMesh) -> Iterator[tuple[Floats, Floats]]:
     for _, corners, normals in shaded_portions(mesh):
         assert normals is not None
         yield corners, normals
-
-
-def corner_normals(mesh: BodyMesh) -> Iterator[Floats]:
-    """Yield the outward corner normals (k, 3, 3) of each block of `mesh.rows()`, in the same order."""
-    return (normals for _, normals in shaded_rows(mesh))
 
 
 def own_normals(mesh: BodyMesh, block: OwnBlock) -> Floats:

@@ -12,7 +12,7 @@ import clacad
 from clacad.exporting.formats.format import RoughSheet
 from clacad.exporting.limits import refuse_early
 from clacad.exporting.tessellations import Meshes
-from clacad.mesh import count_facets, tessellate
+from clacad.mesh import tessellate
 from clacad.mesh.tessellation import slope_error_at
 from clacad.sheet.bundle import bundle
 from clacad.sheet.stack import stacked
@@ -79,9 +79,9 @@ def test_facets_of_a_cylinder_are_as_long_as_its_cell():
     """Two faces of 18 cells, q strips each, two facets a strip; the side walls' are fewer than 10 q a cell."""
     window = clacad.prescribe(SHEET)
     for quads in (16, 64):
-        found = count_facets(window, quads)
+        found = tessellate(window, quads=quads).facet_count
         assert 2 * 18 * 2 * quads <= found <= 2 * 18 * 2 * quads + 10 * quads * 18
-    assert Meshes(window).facets(64) == count_facets(window, 64)
+    assert Meshes(window).facets(64) == tessellate(window, quads=64).facet_count
 
 
 def test_long_facets_lose_no_accuracy():
@@ -99,15 +99,17 @@ def test_long_facets_lose_no_accuracy():
 
 def test_tilted_off_its_axis_and_crossed_cylinders_keep_all_their_quads():
     diagonal = clacad.prescribe(SHEET.replace({"law.euler": [45.0, 0.0, 0.0], "pair.separation": 40.0}))
-    assert count_facets(diagonal, 8) >= 2 * 18 * 2 * 8 * 8
+    assert tessellate(diagonal, quads=8).facet_count >= 2 * 18 * 2 * 8 * 8
     across = clacad.prescribe(SHEET.replace({"law.euler": [90.0, 1.0, 0.0], "pair.separation": 40.0}))
-    assert count_facets(across, 8) >= 2 * 18 * 2 * 8
+    assert tessellate(across, quads=8).facet_count >= 2 * 18 * 2 * 8
 
 
 def test_forecasts_before_a_mesh_is_made_know_cylinders():
     window = clacad.prescribe(SHEET)
     for rough in (RoughSheet.of_design(SHEET), RoughSheet.of_window(window)):
-        assert rough.facets(64) * rough.cells == pytest.approx(count_facets(window, 64), rel=0.4)
+        assert rough.facets(64) * rough.cells == pytest.approx(
+            tessellate(window, quads=64).facet_count, rel=0.4
+        )
     refuse_early(SHEET.replace({"lattice.count": [1000, 200]}), ["stl"], {"stl": 64})
     with pytest.raises(Exception, match="facets"):
         refuse_early(SHEET.replace({"lattice.count": [1000, 200], "law.eta": [-1, -1]}), ["stl"], {"stl": 64})

@@ -15,17 +15,14 @@ from polar_volume import exact_volume
 
 import clacad
 from clacad.mesh import (
-    cell_solid,
     check_closed,
-    corner_normals,
-    count_facets,
-    forecast_bytes,
     forecast_quads,
     mesh_body,
     tessellate,
 )
 from clacad.mesh.body_mesh import facet_tags
 from clacad.mesh.cell_template import BACK, FRONT, WALL
+from clacad.mesh.tessellation import shaded_rows
 from clacad.optics.surface import Quadric
 from clacad.sheet.window import column, lens_height
 from clacad.topology.build_complex import cell_complex, saddle_count
@@ -230,14 +227,25 @@ def test_front_facets_look_down_back_facets_up_and_walls_stand():
     assert np.abs(normal[kind == WALL, 2]).max() < 1e-9
 
 
+def one_cell(sheet, number, quads):
+    """Corners (t, 3, 3) of a body's facets in the frame of its only cell, their kinds and their normals."""
+    alone = sheet.with_cells((1, 1))
+    body = tessellate(alone, quads=quads).bodies[number]
+    assert check_closed((body.vertices, body.triangles)).closed
+    corners = np.concatenate(list(body.rows())) - [*alone.shifts[body.body.arrays[0]], 0.0]
+    return (
+        corners,
+        np.concatenate([k for k, _ in facet_tags(body)]),
+        np.concatenate([n for _, n in shaded_rows(body)]),
+    )
+
+
 def test_corner_normals_are_the_gradient_of_the_heights():
     sheet = window(**FORMS["tilted"])
     body = sheet.bodies[0]
-    solid = cell_solid(sheet, body, 6)
-    assert check_closed((solid.vertices, solid.triangles)).closed
-    mine = solid.kind == BACK
-    at = solid.vertices[solid.triangles[mine]].reshape(-1, 3)
-    normal = solid.normals[mine].reshape(-1, 3)
+    corners, kind, normals = one_cell(sheet, 0, 6)
+    at = corners[kind == BACK].reshape(-1, 3)
+    normal = normals[kind == BACK].reshape(-1, 3)
     h = 1e-7
     slope_x = (
         lens_height(body.back, at[:, 0] + h, at[:, 1]) - lens_height(body.back, at[:, 0] - h, at[:, 1])
@@ -251,7 +259,8 @@ def test_corner_normals_are_the_gradient_of_the_heights():
 
 def test_corner_normals_come_in_the_order_of_the_rows():
     mesh = tessellate(window(**FORMS["round outline"]), quads=4).bodies[0]
-    for corners, normals in zip(mesh.rows(), corner_normals(mesh), strict=True):
+    for corners, (same, normals) in zip(mesh.rows(), shaded_rows(mesh), strict=True):
+        assert np.array_equal(corners, same)
         facet = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         assert (np.einsum("tcd,td->tc", normals, facet) > 0.0).all()
 
@@ -275,10 +284,10 @@ def test_no_point_of_the_surface_is_further_from_the_facets_than_stated():
     sheet = window(**FORMS["tilted about both axes, offset"])
     mesh = tessellate(sheet, quads=7)
     rng = np.random.default_rng(1)
-    for body in mesh.bodies:
-        solid = cell_solid(sheet, body.body, 7)
+    for number, body in enumerate(mesh.bodies):
+        every, kind, _ = one_cell(sheet, number, 7)
         for which, face in ((FRONT, body.body.front), (BACK, body.body.back)):
-            corners = solid.vertices[solid.triangles[solid.kind == which]]
+            corners = every[kind == which]
             weight = rng.dirichlet(np.ones(3), len(corners))
             at = np.einsum("tc,tcd->td", weight, corners)
             off = np.abs(lens_height(face, at[:, 0], at[:, 1]) - at[:, 2])
@@ -339,8 +348,7 @@ def test_facets_of_a_covered_flat_sheet_are_counted_by_hand(quads):
     n1, n2 = 7, 4
     sheet = window(count=(n1, n2))
     each = 4 * quads**2 * n1 * n2 + 2 * quads * 2 * (n1 + n2)
-    assert count_facets(sheet, quads) == 2 * each
-    assert forecast_bytes(sheet, quads) == 2 * (84 + 50 * each)
+    assert tessellate(sheet, quads=quads).facet_count == 2 * each
 
 
 @pytest.mark.daily_cases("slab, displaced in x and y")

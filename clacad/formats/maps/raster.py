@@ -24,11 +24,6 @@ LARGEST_TIFF = (1 << 32) - (1 << 12)
 _SHORT, _LONG, _RATIONAL, _ASCII = 3, 4, 5, 2
 
 
-def tiff_bytes(width: int, height: int, bits: int, description: str) -> int:
-    """Exact size of the file that `write_tiff` makes."""
-    return len(_tiff_head(width, height, bits, 1.0, description)) + width * height * bits // 8
-
-
 def write_tiff(
     rows: Iterable[Pixels],
     path: Path,
