@@ -13,14 +13,16 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from clacad.base.sobol import sobol
 from clacad.base.text import mrad_text
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.light.measure import Light, Weights, measure, rms_angles
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult, joined_results
-from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, cone
 from clacad.sheet.like_cell import heated, like_cell
 from clacad.sheet.representative_cells import SAMPLED, central_cell, representative_cells
+from clacad.sheet.vignetting import aperture_slopes
 from clacad.sheet.window import Window
 from clacad.tracing.trace import SheetTracer, trace
 
@@ -31,7 +33,7 @@ FEWEST_TRIED = 8
 """Of these, rays that must get through for a cell to be judged by their directions."""
 
 MOST_SCREENED = 2000
-"""Cells of a sheet up to which all are screened: a millisecond each."""
+"""Cells of a sheet up to which all are screened: .3 ms each."""
 
 SCREENING_RAYS = 32
 """Rays through each cell that is screened."""
@@ -39,11 +41,8 @@ SCREENING_RAYS = 32
 WORST = 8
 """Cells with the largest screened error that are added to the sample."""
 
-_SCREENED: WeakKeyDictionary[Window, dict[float, Ints]] = WeakKeyDictionary()
-"""Worst cells of windows, by the field."""
-
-_ERRORS: WeakKeyDictionary[Window, dict[tuple[float, bytes], Floats]] = WeakKeyDictionary()
-"""Rms errors of tried cells of a window, by the field and the cells."""
+_ERRORS: WeakKeyDictionary[Window, dict[tuple[float, int, bytes], Floats]] = WeakKeyDictionary()
+"""Rms errors of cells of a window, by the field, the rays of each, and the cells."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,57 +183,59 @@ def tried_cells(window: Window, field: float) -> list[SeenCell]:
     cells = representative_cells(window, "light")
     if SAMPLED < window.lattice.cell_count <= MOST_SCREENED:
         cells = np.concatenate([cells, _screened(window, field)])
-    return _as_seen(window, np.unique(cells, axis=0))
-
-
-def _as_seen(window: Window, cells: Ints) -> list[SeenCell]:
+    cells = np.unique(cells, axis=0)
     return [SeenCell(window, like_cell(window, cell, widest=False), cell, len(cells)) for cell in cells]
 
 
 def _screened(window: Window, field: float) -> Ints:
-    """The cells (WORST, 2) through which few rays leave farthest from the law, or get lost; kept."""
-    kept = _SCREENED.setdefault(window, {})
-    if field not in kept:
-        every = _as_seen(window, window.lattice.cells())
-        error = _rms_errors(every, field, SCREENING_RAYS)
-        kept[field] = np.array([every[k].cell for k in np.argsort(-error, kind="stable")[:WORST]])
-    return kept[field]
+    """The cells (WORST, 2) through which few rays leave farthest from the law, or get lost."""
+    every = window.lattice.cells()
+    error = _rms_errors(window, every, field, SCREENING_RAYS)
+    return np.asarray(every[np.argsort(-error, kind="stable")[:WORST]])
 
 
 def worst_of(tried: list[SeenCell], field: float) -> SeenCell:
     """The cell through which almost no light gets, else whose light leaves farthest (rms) from the law."""
     if len(tried) == 1:
         return tried[0]
-    kept = _ERRORS.setdefault(tried[0].window, {})
-    key = (field, np.array([one.cell for one in tried]).tobytes())
-    if key not in kept:
-        kept[key] = _rms_errors(tried, field, TRIED_RAYS)
-    worst = int(np.argmax(kept[key]))
-    others = np.delete(kept[key], worst)
+    error = _rms_errors(tried[0].window, np.array([one.cell for one in tried]), field, TRIED_RAYS)
+    worst = int(np.argmax(error))
+    others = np.delete(error, worst)
     others = others[np.isfinite(others)]
     return replace(tried[worst], others=(float(others.min()), float(others.max())) if len(others) else None)
 
 
-def _rms_errors(tried: list[SeenCell], field: float, count: int) -> Floats:
-    """Rms angle (n,) of each cell's light to the law, by `count` rays; infinite where almost all is lost."""
-    rays, seen = through_all(tried, field, count)
-    alive, each = seen.fate == Fate.ALIVE, rays.direction.reshape(len(tried), -1, 3)
-    asked = np.concatenate([one.like.law.refract(some) for one, some in zip(tried, each, strict=True)])
-    error = np.where(alive, angle_between(seen.direction, asked), np.nan).reshape(len(tried), -1)
-    through = alive.reshape(len(tried), -1).sum(axis=1)
-    return np.where(through < FEWEST_TRIED * count / TRIED_RAYS, np.inf, rms_angles(error))
+def _rms_errors(window: Window, cells: Ints, field: float, count: int) -> Floats:
+    """Rms angle (n,) of the light of cells (n, 2) to the law, infinite where almost all is lost; kept."""
+    kept, key = _ERRORS.setdefault(window, {}), (field, count, cells.tobytes())
+    if key in kept:
+        return kept[key]
+    rays, seen = through_all(window, cells, field, count)
+    alive = seen.fate == Fate.ALIVE
+    if window.cell_laws is None:
+        asked = window.law.refract(rays.direction)
+    else:
+        asked = window.cell_laws.refract(window.lattice, np.repeat(cells, count, axis=0), rays.direction)
+    error = np.where(alive, angle_between(seen.direction, asked), np.nan).reshape(len(cells), -1)
+    through = alive.reshape(len(cells), -1).sum(axis=1)
+    kept[key] = np.where(through < FEWEST_TRIED * count / TRIED_RAYS, np.inf, rms_angles(error))
+    return kept[key]
 
 
-def through_all(tried: list[SeenCell], field: float, count: int = TRIED_RAYS) -> tuple[Rays, TraceResult]:
-    """Trace `count` rays through every tried cell of a sheet; the result is without the requested focus."""
-    starts, rays, points = [], [], []
-    for one in tried:
-        lit = bundle(one.like, count, field)
-        starts.append(one.moved(lit))
-        rays.append(lit.rays.direction)
-        points.append(lit.points)
-    sent = Rays(np.concatenate(starts), np.concatenate(rays))
-    result = trace(tried[0].window, sent, path="size")
-    law = RequestedLaw.of(tried[0].window)
-    direction = law.without_focus(np.concatenate(points), result.direction)
-    return sent, replace(result, direction=direction)
+def through_all(
+    window: Window, cells: Ints, field: float, count: int = TRIED_RAYS
+) -> tuple[Rays, TraceResult]:
+    """Trace `count` rays through each of some cells (n, 2); the result is without the requested focus."""
+    height, points = window.thin.offset[2], sobol(count, 4)
+    local = np.tile(window.lattice.over_cell(points[:, :2]), (len(cells), 1))
+    rise = np.reshape(window.thin.lenses(1, window.lattice, cells).apex[2], (-1, 1))
+    slopes = aperture_slopes(window, cells) * (height / (height + rise))
+    middles = np.column_stack([slopes, np.ones(len(cells))])
+    middles /= np.linalg.norm(middles, axis=1)[:, None]
+    direction = np.concatenate([cone(one, field, points[:, 2:]) for one in middles])
+    place = np.repeat(window.centres(0, cells), count, axis=0) + local
+    below = window.z_range[0] - 0.5 * max(window.lattice.pitch)
+    start = np.column_stack([place, np.zeros(len(place))]) + direction * (below / direction[:, 2:])
+    sent = Rays(start, direction)
+    result = trace(window, sent, path="size")
+    return sent, replace(result, direction=RequestedLaw.of(window).without_focus(local, result.direction))

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.sobol import sobol
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.light.measure import FEWEST, FIT_SCALE, Light, Send, measure, measure_each
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, field_points, launched, middle_direction
@@ -132,31 +132,29 @@ class Lit:
 
 def fitted_over_all(optics: Optics, tried: list[SeenCell], field: float) -> Optics:
     """Optics with η, δ and turn fitted to light of all cells' field centres, each lit in its own field."""
-    rays, seen = through_all(tried, FIT_SCALE * field)
-    into = Rays(rays.position, _as_in_the_middle(tried, rays.direction))
-    narrow = Light(
-        replace(optics.narrow.lit, rays=into, aperture=1.0), seen, RequestedLaw(tried[0].window.law), fewest=0
-    )
+    window, cells = tried[0].window, np.array([one.cell for one in tried])
+    rays, seen = through_all(window, cells, FIT_SCALE * field)
+    into = Rays(rays.position, _as_in_the_middle(window, cells, rays.direction))
+    lit = replace(optics.narrow.lit, rays=into, aperture=1.0)
+    narrow = Light(lit, seen, RequestedLaw(window.law), fewest=0)
     return replace(optics, narrow=narrow, turn=turn_of(narrow))
 
 
-def _as_in_the_middle(tried: list[SeenCell], direction: Floats) -> Floats:
+def _as_in_the_middle(window: Window, cells: Ints, direction: Floats) -> Floats:
     """Directions (n, 3) of light of cells with their own laws, mapped to the equivalent input of the
     middle's law.
 
     With t' = (t − δ)/η, the effect of a cell on slope t equals that of the middle on (t − δ) η₀/η + δ₀.
     """
-    law = tried[0].window.law
-    if tried[0].window.cell_laws is None:
+    law, laws, lattice = window.law, window.cell_laws, window.lattice
+    if laws is None:
         return direction
-    over = np.array(
-        [[one.like.law.delta_x - law.delta_x, one.like.law.delta_y - law.delta_y] for one in tried]
-    )
-    lens, each = direction @ law.rotation, len(direction) // len(tried)
-    if tried[0].window.cell_laws.ratios is None:
+    over = laws.deltas(lattice, cells) - (law.delta_x, law.delta_y)
+    lens, each = direction @ law.rotation, len(direction) // len(cells)
+    if laws.ratios is None:
         lens[:, :2] -= np.repeat(over, each, axis=0) * lens[:, 2:]
     else:
-        ratio = np.array([[law.eta_x / one.like.law.eta_x, law.eta_y / one.like.law.eta_y] for one in tried])
+        ratio = (law.eta_x, law.eta_y) / laws.ratios_of(lattice, cells)
         shift = ratio * over + (ratio - 1.0) * (law.delta_x, law.delta_y)
         ratio, shift = (np.repeat(rows, each, axis=0) for rows in (ratio, shift))
         lens[:, :2] = ratio * lens[:, :2] - shift * lens[:, 2:]
