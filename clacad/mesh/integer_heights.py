@@ -18,7 +18,6 @@ import numpy as np
 
 from clacad.base.arrays import distinct
 from clacad.base.types import Bools, Floats, Ints
-from clacad.optics.surface import Quadric, sag
 from clacad.optics.surface.intersection import meet
 from clacad.sheet.pattern import Step
 from clacad.sheet.window import Body, Face, Window, lens_height
@@ -230,17 +229,12 @@ class CellLevels:
 
 def _over_apex(face: Face, x: Floats, y: Floats) -> Floats:
     """Height of a lens above its apex over points (...) relative to it; equal points give equal bits."""
-    surface = face.surface
-    if face.untilted and not isinstance(surface, Quadric):
-        shape = np.shape(x)  # upright: its sag needs no ray
-        return sag(surface, x.ravel(), y.ravel()).reshape(shape)
     if face.untilted:
         alone = replace(face, vertex=(0.0, 0.0, 0.0))
         return lens_height(alone, x.ravel(), y.ravel()).reshape(x.shape)
-    start = np.stack([x * across + y * along for across, along in face.rotation[:2].T], axis=-1).reshape(
-        -1, 3
-    )
-    met = meet(surface, start, np.broadcast_to(face.rotation[2], start.shape).copy())
+    start = np.stack([x * across + y * along for across, along in face.rotation[:2].T], axis=-1)
+    start = start.reshape(-1, 3)
+    met = meet(face.surface, start, np.broadcast_to(face.rotation[2], start.shape).copy())
     with np.errstate(invalid="ignore"):
         above = (met.gradient * face.rotation[2]).sum(axis=-1) > 0.0
     return np.where(above & np.isfinite(met.distance), met.distance, np.nan).reshape(x.shape)

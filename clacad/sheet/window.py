@@ -578,8 +578,9 @@ def lens_height(face: Face, x: Floats, y: Floats) -> Floats:
     keeps the relative accuracy of the height above the apex, even for very flat lenses.
     """
     face = face.simplified
-    if face.untilted and isinstance(face.surface, Quadric):
-        sag = upright_sag(face.surface, np.asarray(x) - face.vertex[0], np.asarray(y) - face.vertex[1])
+    if face.untilted:  # upright: its sag needs no ray
+        at = np.asarray(x) - face.vertex[0], np.asarray(y) - face.vertex[1]
+        sag = upright_sag(face.surface, *at) if isinstance(face.surface, Quadric) else face.surface.sag(*at)
         if sag is not None:
             return np.asarray(face.vertex[2] + sag)
     z, _ = lens_height_and_normal(face, x, y)
