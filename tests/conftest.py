@@ -58,13 +58,13 @@ OF_SOURCES = (
 
 def mark_by_case(item: pytest.Item, case: str) -> None:
     """Mark a case as slow or long that its test does not name among those to run."""
-    by_hand = any(case not in mark.args for mark in item.iter_markers("ci_cases"))
-    slow = any(case not in mark.args for mark in item.iter_markers("daily_cases"))
-    if by_hand:
+    slow = bool(item.get_closest_marker("slow")) or any(
+        case not in mark.args for mark in item.iter_markers("daily_cases")
+    )
+    by_hand = slow and any(case not in mark.args for mark in item.iter_markers("ci_cases"))
+    if by_hand or item.get_closest_marker("long"):
         item.own_markers = [mark for mark in item.own_markers if mark.name != "slow"]
         item.add_marker(pytest.mark.long)
-    elif item.get_closest_marker("long"):
-        item.own_markers = [mark for mark in item.own_markers if mark.name != "slow"]
     elif slow:
         item.add_marker(pytest.mark.slow)
 

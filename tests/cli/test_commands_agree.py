@@ -56,6 +56,7 @@ COMMANDS = {
 }
 
 
+@pytest.mark.ci_cases("check", "verify", "tolerance", "accuracy", "export")
 @pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_what_a_program_reads_is_one_json_document_without_nan_or_infinity(command, tmp_path):

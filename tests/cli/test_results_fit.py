@@ -97,6 +97,16 @@ def test_every_command_is_among_those_that_fit() -> None:
     assert {one.word for one in commands()} == {one.split()[0] for one in [*COMMANDS, *SLOW]} | CHECKED
 
 
+@pytest.mark.ci_cases(
+    "effects slab.toml-round",
+    "wave slab.toml-failing",
+    "image slab.toml-round",
+    "export slab.toml -o out --dry-run-failing",
+    "export slab.toml -o out --format stl --quads 4-round",
+    "explore slab.toml -o page.html-failing",
+    "verify slab.toml --rays 4096-failing",
+    "tolerance slab.toml --samples 8 --rays 64 --workers 1-round",
+)
 @pytest.mark.slow
 @pytest.mark.parametrize("design", ["failing", "round"])
 @pytest.mark.parametrize("words", [one for one in COMMANDS if "slab.toml" in one])
@@ -105,6 +115,17 @@ def test_a_result_of_another_design_fits(words: str, design: str, folder: Path, 
     fits(result(capsys, *words.replace("slab.toml", f"{design}.toml").split(), status=int(failed)))
 
 
+@pytest.mark.ci_cases(
+    "effects slab.toml",
+    "wave slab.toml",
+    "sweep slab.toml --vary pair.separation=6:12:3 --workers 1 --rays 64",
+    "export slab.toml -o out --format stl --quads 4",
+    "render scene.toml -o view.png",
+    "steer pair.toml --travel 0.05mm --positions 3 --rays 256 --no-waves",
+    "tolerance slab.toml --samples 8 --rays 64 --workers 1",
+    "accuracy slab.toml --rays 1000 --target 2mrad",
+    "optimise slab.toml -o better.toml --compare page.html --seconds 2",
+)
 @pytest.mark.daily_cases(
     "explain",
     "explain law_rms",

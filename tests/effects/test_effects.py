@@ -744,6 +744,7 @@ def test_blocks_written_in_place_by_several_threads_are_the_blocks_traced_one_by
     assert np.array_equal(one.directions, two.directions)
 
 
+@pytest.mark.ci_cases("setting0-paper-a-covered", "setting0-hexagonal", "setting1-slab")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["slab", "paper-a-covered", "plano", "hexagonal", "galilean"])
 @pytest.mark.parametrize("setting", [Setting(), Setting(coating="quarter-wave", extinction=1e-7)])

@@ -111,6 +111,7 @@ def test_light_split_at_lenses_goes_the_ways_of_a_sheet_of_cells_like_it(kind):
     assert abs(len(back) - len(there)) <= 6
 
 
+@pytest.mark.ci_cases("aimed", "turned", "an eta of its own")
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ALL)
 def test_no_light_is_lost_on_any_way_through_cells_that_differ(kind):
@@ -176,6 +177,7 @@ def test_a_plan_is_bounded_on_the_worst_of_cells_tried_and_says_so():
     assert "cells_tried" not in uniform.to_dict()
 
 
+@pytest.mark.ci_cases("turned", "an eta of its own")
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ALL)
 def test_what_an_effect_changes_in_the_whole_sheet_is_within_the_bound_of_its_worst_cell(kind):

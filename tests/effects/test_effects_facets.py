@@ -37,6 +37,7 @@ def turned(name, quads, half=0.005):
     return math.sqrt(float((apart**2).mean()))
 
 
+@pytest.mark.ci_cases("8-slab", "8-galilean", "16-plano")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["paper-a-covered", "slab", "plano", "galilean"])
 @pytest.mark.parametrize("quads", [8, 16])

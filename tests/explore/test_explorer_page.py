@@ -74,6 +74,7 @@ MOVED = {
 }
 
 
+@pytest.mark.ci_cases("hexagonal", "tilted-seam", "baffled")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", everyday("hexagonal", others=[n for n in MOVED if n != "hexagonal"]))
 def test_verdict_is_what_the_closed_forms_give_of_the_design_handed_out(chromium, tmp_path, name):
@@ -109,6 +110,7 @@ def test_verdict_before_anything_is_moved_is_the_one_python_tells(chromium, tmp_
 # -- design file and link --------------------------------------------------------------------------
 
 
+@pytest.mark.ci_cases("hexagonal", "baffled")
 @pytest.mark.parametrize(
     "name", everyday("tilted-seam", others=("paper-a-covered", "hexagonal", "baffled", "window-100mm"))
 )
@@ -117,6 +119,7 @@ def test_an_untouched_page_hands_out_the_very_design(chromium, tmp_path, name):
     assert Page(chromium, tmp_path, design).design().sha256 == design.sha256
 
 
+@pytest.mark.ci_cases("hexagonal", "plano")
 @pytest.mark.daily_cases("window-100mm")
 @pytest.mark.parametrize("name", everyday("paper-a-covered", others=("window-100mm", "hexagonal", "plano")))
 def test_the_field_lens_is_in_the_design_file_that_check_reads(chromium, tmp_path, capsys, name):
@@ -192,6 +195,7 @@ def test_eta_1_takes_no_offset_and_a_plain_window_is_no_design(page):
     assert page.design().law_spec.delta == (0.0, 0.02)
 
 
+@pytest.mark.ci_cases("window-100mm-moved2", "baffled-moved6", "paper-a-covered-moved8", "hexagonal-moved11")
 @pytest.mark.parametrize(("name", "moved"), everyday(("window-100mm", {"eta_x": 1, "eta_y": 1}), others=[
     ("window-100mm", {"separation": 1.4}), ("window-100mm", {"separation": 1.5}),
     ("window-100mm", {"eta_x": 0.1}), ("window-100mm", {"eta_x": 0.7}), ("baffled", {"eta_y": 0.5}), ("baffled", {"eta_y": 3}),

@@ -65,6 +65,15 @@ def named(cells):
     return np.where((cells == NO_CELL).any(axis=1)[:, None], NOWHERE, cells)
 
 
+@pytest.mark.ci_cases(
+    "paper, turned, offset and from aside",
+    "tilted hexagons",
+    "round, with border and seams",
+    "baffle",
+    "field lens of crossed cylinders",
+    "aimed, tilted, with seams",
+    "aimed, with field lens",
+)
 @pytest.mark.daily_cases("aimed, round, with border and seams")
 @pytest.mark.parametrize("name", [
     name if name in EVERYDAY else pytest.param(name, marks=pytest.mark.slow) for name in CASES])  # fmt: skip

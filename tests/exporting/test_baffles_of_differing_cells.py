@@ -124,6 +124,7 @@ def test_light_meets_a_wall_where_it_first_leaves_the_section_of_its_channel(nam
     assert share[stopped] == pytest.approx(first[stopped], abs=1.001e-3)
 
 
+@pytest.mark.ci_cases("aimed-biconvex", "other pitches-plano")
 @pytest.mark.slow
 @pytest.mark.parametrize("form", ["plano", "biconvex"])
 @pytest.mark.parametrize("name", ["aimed", pytest.param("other pitches", marks=pytest.mark.slow)])

@@ -156,6 +156,7 @@ def test_the_text_of_the_pdf_holds_sizes_tolerances_radii_conics_and_sags(tmp_pa
     assert re.search(r"0\.0563\d+ ±0\.006", text)
 
 
+@pytest.mark.ci_cases("tilted-biconvex-a4", "plano-a2", "slab-a3")
 @pytest.mark.daily_cases("plano-a3", "slab-a4")
 @pytest.mark.parametrize("paper", PAPERS)
 @pytest.mark.parametrize("name", ["tilted-biconvex", "plano", "slab"])
@@ -335,6 +336,7 @@ def emptiest_share(sheet):
     return largest / taken.size
 
 
+@pytest.mark.ci_cases("slab-a4", "hexagonal-a3", "plate-a3")
 @pytest.mark.daily_cases("flange-a4", "slab-a3")
 @pytest.mark.parametrize("paper", ["a4", "a3"])
 @pytest.mark.parametrize(

@@ -60,6 +60,7 @@ def leftovers(folder: Path) -> list[str]:
 # -- what comes out ------------------------------------------------------------------------------
 
 
+@pytest.mark.ci_cases("tilted-seam.toml", "plano.toml", "galilean.toml")
 @pytest.mark.daily_cases("paper-a-covered.toml")
 @pytest.mark.parametrize("name", FORMS)
 def test_every_mesh_format_of_every_form_agrees_with_its_design(tmp_path: Path, name: str) -> None:

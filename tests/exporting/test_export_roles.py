@@ -354,6 +354,7 @@ def test_the_command_prints_role_forecast_and_what_a_master_needs(tmp_path):
 # -- sizes and limits -------------------------------------------------------------------------------
 
 
+@pytest.mark.ci_cases("8-hexagonal-cells2", "32-paper-a-covered-cells0", "32-slab-cells1")
 @pytest.mark.daily_cases("8-slab-cells1")
 @pytest.mark.parametrize(
     ("name", "cells"), [("paper-a-covered", (12, 9)), ("slab", (20, 20)), ("hexagonal", (6, 6))]

@@ -69,6 +69,7 @@ MUTATIONS: dict[str, Callable[[str], str]] = {
 }
 
 
+@pytest.mark.ci_cases("inches", "shrunk by 0.1 %", "a weight changed")
 @pytest.mark.daily_cases("cut in half", "cut near the end", "nothing", "empty", "a face left out")
 @pytest.mark.parametrize("what", MUTATIONS)
 def test_a_changed_file_is_caught(made: Made, tmp_path: Path, what: str) -> None:

@@ -50,6 +50,7 @@ def own_volume(facets: np.ndarray) -> float:
 # -- the mesh -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci_cases("displaced slab", "disc", "unit of a metre")
 @pytest.mark.daily_cases("hexagonal")
 @pytest.mark.parametrize(
     "case",

@@ -33,6 +33,7 @@ def off(one: float, other: float) -> float:
     return max(one, other) / min(one, other)
 
 
+@pytest.mark.ci_cases("baffled", "tilted-biconvex", "window-100mm")
 @pytest.mark.daily_cases("plano", "paper-base")
 @pytest.mark.parametrize("name", NAMES)
 def test_rough_sizes_are_near_the_close_ones(name: str) -> None:

@@ -160,6 +160,9 @@ WRONG = [
 ]
 
 
+@pytest.mark.ci_cases(
+    "change0-it is not turned", "change2-not compensated for the shrinkage", "change3-scaled by 1 - s"
+)
 @pytest.mark.slow
 @pytest.mark.parametrize(("change", "reason"), WRONG)
 def test_a_wrong_insert_fails_with_the_reason(design, made, tmp_path, change, reason) -> None:

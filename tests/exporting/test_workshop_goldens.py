@@ -171,6 +171,7 @@ STEPS = {
 }
 
 
+@pytest.mark.ci_cases("own law-0.2", "displaced-0.025", "turned-0.2")
 @pytest.mark.slow
 @pytest.mark.parametrize("nose", [0.025, 0.2])
 @pytest.mark.parametrize("keys", STEPS.values(), ids=STEPS)

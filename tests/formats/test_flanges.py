@@ -48,6 +48,12 @@ def land_thickness(body):
 FORMS = [SLAB, pytest.param(PLANO, marks=pytest.mark.slow), pytest.param(BICONVEX, marks=pytest.mark.slow)]
 
 
+@pytest.mark.ci_cases(
+    "body0-53.40707511102649-base1",
+    "body1-52.40176546187775-base2",
+    "body3-76.2085202500476-base0",
+    "body4-77.06692759645782-base1",
+)
 @pytest.mark.slow
 @pytest.mark.parametrize("base", FORMS)
 @pytest.mark.parametrize(("body", "added"), [

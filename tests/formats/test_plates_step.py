@@ -255,6 +255,7 @@ def test_a_flat_joint_off_in_both_layers_is_found_although_the_whole_volume_is_r
     assert VOLUME in wrong_in(made["flat"], tmp_path, both)
 
 
+@pytest.mark.ci_cases("0-curved", "1-flat", "2-seamed")
 @pytest.mark.daily_cases("0-flat", "2-flat")
 @pytest.mark.parametrize("name", ["flat", "curved", "seamed"])
 @pytest.mark.parametrize("lost", [0, 1, 2])

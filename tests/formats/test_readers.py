@@ -300,6 +300,7 @@ def test_a_cut_stl_is_refused(tmp_path: Path, cut: int) -> None:
         read_mesh(path)
 
 
+@pytest.mark.ci_cases("0.02-.ply", "0.9-.glb", "0.999-.3mf")
 @pytest.mark.daily_cases(
     "0.0-.3mf", "0.0-.ply", "0.0-.glb", "0.02-.3mf", "0.02-.glb", "0.5-.3mf", "0.5-.glb", "0.9-.3mf"
 )

@@ -120,6 +120,7 @@ def test_gmsh_finds_the_same_solids_faces_and_volume(tmp_path, mode):
     assert volume == pytest.approx(total_volume(window), rel=1e-7)
 
 
+@pytest.mark.ci_cases("1e-09", "2.598526445218819e-05", "0.6752339686501552")
 @pytest.mark.daily_cases("2.9619362959451737e-08")
 @pytest.mark.parametrize("angle", np.geomspace(1e-9, 20.0, 8).tolist())
 def test_steps_of_any_height_survive_writing_and_reading(tmp_path, angle):
@@ -240,6 +241,7 @@ def test_a_loop_that_its_face_takes_the_other_way_round_is_counted_the_other_way
     assert scan_step(turned).open_edges == scan_step(path).open_edges == 0
 
 
+@pytest.mark.ci_cases("as written", "digits", "turned edge")
 @pytest.mark.daily_cases("broken lines", "lost")
 @pytest.mark.parametrize("change", [
     lambda text: text,

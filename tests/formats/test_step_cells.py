@@ -31,6 +31,7 @@ def sheet(name):
     return clacad.prescribe(clacad.Design.from_dict(made | {"lattice": {"pitch": 0.5, **lattice}}))
 
 
+@pytest.mark.ci_cases("hexagonal", "tilted and varying")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name == "round" else pytest.mark.slow) for name in SHEETS]

@@ -34,6 +34,14 @@ BARE = ("tilted", "turned by 45 degrees, a saddle at every corner", "plano")
 CASES = [(name, True) for name in FORMS] + [(name, False) for name in BARE]
 
 
+@pytest.mark.ci_cases(
+    "turned by 45 degrees, a saddle at every corner",
+    "slab of two faces",
+    "biconvex with web and rim",
+    "plano, curved inside",
+    "hexagonal",
+    "plano, seam",
+)
 @pytest.mark.daily_cases("Galilean")
 @pytest.mark.parametrize(("name", "pcurves"), CASES, ids=[f"{n}{'' if c else ', bare'}" for n, c in CASES])
 def test_every_form_reads_back_valid_with_its_integral_and_its_closed_form(tmp_path, name, pcurves):

@@ -77,6 +77,31 @@ def marks(case):
     return [pytest.mark.slow] if large or border or figures or vast else []
 
 
+@pytest.mark.ci_cases(
+    "cell (10^4, 10^4) of an aimed sheet-numpy",
+    "cell (10^4, 10^4) of an aimed sheet-numba",
+    "corner cell (2e4, 2e4), g = 1 + 1/8000-numba",
+    "hexagonal, aimed-numba",
+    "a few last bits below a border of the aimed array-numba",
+    "a few last bits above a border of a turned array-numpy",
+    "a few last bits above a border of a turned array-numba",
+    "plano, aimed-numba",
+    "tilted, aimed-numba",
+    "a traced vertex near its bracket-numba",
+    "pitch_2 = pitch (1 + 1e-12), 10^4 cells out-numpy",
+    "pitch_2 = pitch (1 + 1e-12), 10^4 cells out-numba",
+    "array 2 turned by 1e-6, 10^4 cells out-numba",
+    "kappa = 5e-3, vertices traced-numba",
+    "kappa = 5e-3, tilted by 3 degrees-numba",
+    "eta from -1/2 to -2, hexagonal-numba",
+    "eta = -4 beside -1-numpy",
+    "a polynomial, eta from -1/2 to -2-numba",
+    "conics, eta from -1/2 to -2-numpy",
+    "joints of planes, cell (999, 1) of 10^6-numba",
+    "curved joints-numba",
+    "a film of 1e-6 pitches between planes, aimed-numba",
+    "a field plate in air, aimed-numba",
+)
 @pytest.mark.parametrize("path", ["numpy", pytest.param("numba", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("case", [pytest.param(case, id=case.name, marks=marks(case)) for case in CASES])
 def test_a_ray_through_cells_that_differ_goes_where_sixty_digits_say(case, path):

@@ -123,6 +123,11 @@ def one_lens_moved(window, array):
     )
 
 
+@pytest.mark.ci_cases(
+    "lattice.aperture-hexagonal cells",
+    "pair.focus-biconvex",
+    "eta in law.varying.table-plate with an outline of its own",
+)
 @pytest.mark.parametrize(("sheet", "feature"), FILES)
 def test_the_file_of_a_combination_is_a_master_and_one_lens_out_of_place_is_found(sheet, feature, tmp_path):
     wanted = made(sheet, feature, tmp_path)

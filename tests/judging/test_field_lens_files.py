@@ -42,6 +42,7 @@ def test_two_plates_are_written_and_judged_as_masters(tmp_path):
     assert "2 solids" in solids.sentence
 
 
+@pytest.mark.ci_cases("two plates, offset", "tilted", "slab of three bodies, offset")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "design",

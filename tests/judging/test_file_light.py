@@ -60,6 +60,7 @@ def through(window, slide):
     return send
 
 
+@pytest.mark.ci_cases("-0.01-biconvex", "0.003-slab")
 @pytest.mark.daily_cases("-0.01-slab")
 @pytest.mark.parametrize("design", [DESIGN, SLAB], ids=["biconvex", "slab"])
 @pytest.mark.parametrize("part", [-0.01, 0.0, 0.003])

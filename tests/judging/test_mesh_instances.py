@@ -196,6 +196,13 @@ PLACES = {
 }
 
 
+@pytest.mark.ci_cases(
+    "3mf-moved along z",
+    "3mf-missing",
+    "3mf-turned by a quarter",
+    "glb-moved by a pitch",
+    "glb-beside the sheet",
+)
 @pytest.mark.daily_cases("3mf-beside the sheet")
 @pytest.mark.parametrize("what", PLACES)
 @pytest.mark.parametrize("suffix", ["3mf", "glb"])
@@ -451,6 +458,7 @@ NORMALS = {
 }  # fmt: skip
 
 
+@pytest.mark.ci_cases("x and y negated-glb", "turned over-ply", "zero-glb", "turned by 3 degrees-ply")
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["glb", "ply"])
 @pytest.mark.parametrize("what", NORMALS)

@@ -82,6 +82,7 @@ def failed(checks):
 # -- identity first -------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci_cases("slab", "tilted", "galilean")
 @pytest.mark.slow
 @pytest.mark.parametrize("which", [SLAB, PLANO, SYMMETRIC, HEXAGONAL, TILTED, ("galilean", "lattice.count=[8,8]")],
                          ids=lambda w: w[0])  # fmt: skip
@@ -126,6 +127,7 @@ def test_a_dent_in_a_symmetric_sheet_is_named_where_it_is(tmp_path):
 # -- however it lies ------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci_cases("block", "two plates", "thin disc")
 @pytest.mark.slow
 @pytest.mark.parametrize("which", [SLAB, THIN, PLANO, TILTED, HEXAGONAL, THIN_DISC, ROUND_SLAB],
                          ids=["block", "thin", "two plates", "tilted", "hexagonal disc", "thin disc", "round"])  # fmt: skip
@@ -198,6 +200,9 @@ HARMLESS = {
 }
 
 
+@pytest.mark.ci_cases(
+    "slab-turned a quarter", "tilted-shrunk by .05 %", "plano-moved by 5 mm", "round-moved by 10 um"
+)
 @pytest.mark.daily_cases("plano-turned a quarter")
 @pytest.mark.parametrize("how", HARMLESS)
 @pytest.mark.parametrize("which", [SLAB, TILTED, PLANO, ROUND_SLAB], ids=["slab", "tilted", "plano", "round"])

@@ -143,6 +143,7 @@ EVERY = [
 ]
 
 
+@pytest.mark.ci_cases("MM-two-levels", "INCH-one-assembly", "M-one-instanced")
 @pytest.mark.slow
 @pytest.mark.parametrize(("unit", "bodies", "structure"), EVERY)
 def test_a_good_part_written_again_passes_as_an_optical_master_in_any_unit_and_structure(
@@ -162,6 +163,7 @@ def test_a_good_part_written_again_passes_as_an_optical_master_in_any_unit_and_s
     assert facts["placement"]["instances"] == (12 * len(window.bodies) if structure == "instanced" else 0)
 
 
+@pytest.mark.ci_cases("one-instanced", "two-fused")
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", ["fused", "instanced"])
 @pytest.mark.parametrize("bodies", ["one", "two"])
@@ -177,6 +179,7 @@ def test_a_kernel_s_own_file_gets_the_same_rows(written, tmp_path, bodies, mode)
     assert facts["placement"]["instances"] == (0 if mode == "fused" else 12 * len(window.bodies))
 
 
+@pytest.mark.ci_cases("MM-flat", "INCH-assembly")
 @pytest.mark.slow
 @pytest.mark.parametrize("structure", ["flat", "assembly"])
 @pytest.mark.parametrize("unit", ["MM", "INCH"])

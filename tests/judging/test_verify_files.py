@@ -103,6 +103,7 @@ def test_a_coarse_file_declared_as_a_preview_is_accepted_as_a_shape(tmp_path, so
     } <= {c.id for c in report.checks if c.state == "pass"}
 
 
+@pytest.mark.ci_cases("eta_x off by 2 %", "radii of another index")
 @pytest.mark.slow
 @pytest.mark.parametrize(("change", "culprit"), [
     pytest.param({"law.eta": [-0.255, -1.0]}, "faithful_eta", id="eta_x off by 2 %"),
@@ -117,6 +118,7 @@ def test_a_file_of_another_design_fails_by_name(tmp_path, change, culprit):
     assert culprit in failed(report)
 
 
+@pytest.mark.ci_cases("facet dropped", "inside out", "grown by 0.3 %")
 @pytest.mark.daily_cases("empty")
 @pytest.mark.parametrize(("spoil", "culprit"), [
     pytest.param(lambda t: np.delete(t, 100, axis=0), "closed", id="facet dropped"),

@@ -243,6 +243,7 @@ def test_explain_prints_range_v_dn_dt_expansion_and_density_or_that_they_are_not
     assert re.search(r"[0-9]+ kg/m³|density not published", found)
 
 
+@pytest.mark.ci_cases("achromat-polycarbonate", "achromat-doublets-plastic", "three-plates-10deg")
 @pytest.mark.daily_cases("achromat-plastic")
 @pytest.mark.parametrize(
     "kind",

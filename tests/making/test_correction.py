@@ -46,6 +46,7 @@ BARS = dict.fromkeys(MAKERS, 1.2) | {"greyscale": 1.25}
 QUICK = ("window-100mm", "UV resin", 1)
 
 
+@pytest.mark.ci_cases("window-100mm-moulding-3", "window-100mm-greyscale-3", "hexagonal-UV resin-3")
 @pytest.mark.parametrize(
     ("name", "maker", "rounds"),
     [

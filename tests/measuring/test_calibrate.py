@@ -51,6 +51,7 @@ def map_of(z):
     return cloud_map("wedge", np.stack([columns * 4e-6, rows * 4e-6, z[rows, columns]]))
 
 
+@pytest.mark.ci_cases("1.3", "179.0")
 @pytest.mark.daily_cases("-2.1", "268.9")
 @pytest.mark.parametrize("degrees", [0.0, 1.3, -2.1, 90.8, 179.0, 268.9])
 def test_depths_are_found_wherever_the_coupon_lies(degrees) -> None:

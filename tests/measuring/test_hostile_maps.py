@@ -203,6 +203,7 @@ def written(folder: Path, number: int) -> Path:
     return folder / name
 
 
+@pytest.mark.ci_cases("0", "5", "9")
 @pytest.mark.slow
 @pytest.mark.parametrize("tenth", range(12))
 def test_hostile_maps_are_measured_or_refused(tmp_path, tenth):

@@ -268,6 +268,7 @@ SLOW_SAMPLES = {
 }
 
 
+@pytest.mark.ci_cases("front-coarse.xyz-front", "back.x3p-back", "wrong-insert.sdf-front")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "side"),

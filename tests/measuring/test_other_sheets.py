@@ -97,6 +97,7 @@ OTHERS = {
 }
 
 
+@pytest.mark.ci_cases("tilted front", "four faces", "field lens")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
@@ -163,6 +164,7 @@ ON_PLATES = {
 }
 
 
+@pytest.mark.ci_cases("front-corner, and a damaged cell", "front-side of the plate", "back-hole in the land")
 @pytest.mark.daily_cases("front-hole in the land")
 @pytest.mark.parametrize("name", ON_PLATES)
 @pytest.mark.parametrize("side", ["front", "back"])

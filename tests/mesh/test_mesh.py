@@ -42,6 +42,17 @@ def welded(corners):
 # -- closed, in every form ------------------------------------------------------------------------------
 
 
+@pytest.mark.ci_cases(
+    "loose cells that touch",
+    "tilted about both axes, offset",
+    "saddle at every corner",
+    "plano, curved inside",
+    "slab, displaced in x and y",
+    "biconvex, seam",
+    "hexagonal slab",
+    "round outline, hexagons",
+    "border and web",
+)
 @pytest.mark.daily_cases("slab, seam", "outline that fits two sides", "cylinders")
 @pytest.mark.parametrize("name", FORMS)
 def test_every_form_is_closed_also_after_a_float32_file(name):
@@ -120,6 +131,7 @@ FAMILIES = [
 ]
 
 
+@pytest.mark.ci_cases("tilt of turned lenses", "hexagons", "web")
 @pytest.mark.daily_cases("slab")
 @pytest.mark.parametrize(("keys", "tilt"), FAMILIES)
 def test_no_tilt_from_a_billionth_of_a_degree_to_20_degrees_leaves_an_open_edge(keys, tilt):

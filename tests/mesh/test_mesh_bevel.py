@@ -28,6 +28,7 @@ def stranger(body):
     return trimesh.Trimesh(vertices, index.reshape(-1, 3), process=False)
 
 
+@pytest.mark.ci_cases("2e-05-3-saddle at every corner", "2e-05-3-plano", "0.0007-1-slab", "0.0007-1-pinholes")
 @pytest.mark.daily_cases("2e-05-3-slab")
 @pytest.mark.parametrize("name", SADDLED)
 @pytest.mark.parametrize(("width", "quads"), [(2e-5, 3), (7e-4, 1)])

@@ -83,6 +83,14 @@ def cases():
     ]
 
 
+@pytest.mark.ci_cases(
+    "hexagonal disc",
+    "columns in a border",
+    "law that varies, toroids",
+    "law that varies, tilted, plano",
+    "turned, of other pitch, hexagonal",
+    "turned, in a border with a seam",
+)
 @pytest.mark.daily_cases("slab")
 @pytest.mark.parametrize("changes", cases())
 def test_bodies_of_cells_that_differ_are_closed_and_enclose_what_the_faces_do(changes):

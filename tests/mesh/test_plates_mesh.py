@@ -177,6 +177,7 @@ def test_the_forecast_of_facets_counts_both_sides_of_a_joint():
 # -- light ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.ci_cases("curved", "seamed")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LISTS)
 def test_light_through_a_fine_mesh_approaches_that_through_the_listed_faces(name):
@@ -236,6 +237,7 @@ FORMATS = ("stl", "3mf", "glb")
 SLOW = {("seamed", "3mf"), ("seamed", "glb")}
 
 
+@pytest.mark.ci_cases("curved-3mf", "layer-stl", "seamed-glb")
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "suffix"), [
     pytest.param(*case, marks=[pytest.mark.slow] if case in SLOW else []) for case in product(JOINED, FORMATS)
@@ -264,6 +266,7 @@ def test_a_missing_body_between_two_joints_is_found(name, tmp_path):
     assert {"volume", "shape"} <= faults(name, spoilt)
 
 
+@pytest.mark.ci_cases("curved-glb", "layer-fused.3mf")
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["3mf", "fused.3mf", "glb"])
 @pytest.mark.parametrize("name", [name for name in JOINED if name != "seamed"])

@@ -89,6 +89,9 @@ BARS = {
 HEAVY = ("paper-a-covered bending and a4", "window-100mm radii and conics")
 
 
+@pytest.mark.ci_cases(
+    "paper-a-covered conics", "paper-a-covered bending and a4", "window-100mm radii and conics"
+)
 @pytest.mark.daily_cases("window-100mm radii")
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=pytest.mark.slow if name in HEAVY else ()) for name in BARS]

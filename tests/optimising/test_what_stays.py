@@ -140,6 +140,9 @@ def _radii(face):
     return 1.0 / np.array([face.surface.curvature_x, face.surface.curvature_y])
 
 
+@pytest.mark.ci_cases(
+    "biconvex-tilted-conic", "plano-offset-conic", "plano inside-both-a4", "slab-straight-a4"
+)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("pair", "law", "word"),
@@ -166,6 +169,7 @@ def test_with_a_field_lens_the_same_stays(pair, more):
     )
 
 
+@pytest.mark.ci_cases("offset", "tilted")
 @pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_faces_that_were_given_are_searched_from_where_they_are(law):

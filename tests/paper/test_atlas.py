@@ -377,6 +377,9 @@ def test_render_writes_a_picture_says_how_and_refuses_to_overwrite(tmp_path):
     assert "overwrite" in again.stderr
 
 
+@pytest.mark.ci_cases(
+    "arguments1-cannot read the scene", "arguments3-camera.frame", "arguments7-there is no row F9"
+)
 @pytest.mark.daily_cases("arguments4-there is no preset", "arguments5-PHOTO")
 @pytest.mark.parametrize(
     ("arguments", "words"),

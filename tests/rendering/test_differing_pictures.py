@@ -121,6 +121,7 @@ def test_the_smooth_law_is_asked_of_rung_law_and_of_no_table(tmp_path):
         view_through(scene)
 
 
+@pytest.mark.ci_cases("aimed-surfaces", "turned-thin", "varying-surfaces")
 @pytest.mark.slow
 @pytest.mark.parametrize("rung", ["law", "thin", "surfaces"])
 @pytest.mark.parametrize("kind", KINDS)

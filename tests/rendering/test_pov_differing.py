@@ -87,6 +87,7 @@ FEW = pytest.mark.slow
 KINDS = [kind if kind in ("aimed", "varying") else pytest.param(kind, marks=FEW) for kind in DESIGNS]
 
 
+@pytest.mark.ci_cases("other pitch", "aimed hexagons in a disc", "aimed plano")
 @pytest.mark.daily_cases("varying")
 @needs_povray
 @pytest.mark.parametrize("kind", KINDS)

@@ -37,6 +37,7 @@ def scene_of(case: str) -> Scene:
     )
 
 
+@pytest.mark.ci_cases("curved-joints", "three-plates", "aimed")
 @pytest.mark.slow
 @needs_povray
 @pytest.mark.parametrize(

@@ -459,6 +459,7 @@ ROUNDING = 0.25 / 255 + 1e-4
 """Mean distance of a number from the byte it was rounded to, and a little."""
 
 
+@pytest.mark.ci_cases("base", "z_k_20", "phi_45_theta_0.5_psi_90")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_view_is_the_independent_renderer_s_picture(name):
@@ -477,6 +478,7 @@ def test_a_view_is_the_independent_renderer_s_picture(name):
     assert (beside.max(axis=-1) <= 3.5 / 255).mean() > 0.96  # tile edges near the horizon fall on rays
 
 
+@pytest.mark.ci_cases("base", "delta_0.005_0.010", "phi_45_theta_0.5_psi_90")
 @pytest.mark.daily_cases("z_k_2")
 @pytest.mark.parametrize("name", CASES)
 def test_the_fitted_map_of_a_view_is_the_independent_tracer_s(name):
@@ -488,6 +490,7 @@ def test_the_fitted_map_of_a_view_is_the_independent_tracer_s(name):
     np.testing.assert_allclose(found.offset, expected["A"], rtol=0, atol=2e-4)
 
 
+@pytest.mark.ci_cases("base", "delta_0.005_0.010", "phi_45_theta_0.5_psi_90")
 @pytest.mark.daily_cases("z_k_20")
 @pytest.mark.parametrize("name", CASES)
 def test_the_homogeneous_sheet_shows_the_ideal_law(name):

@@ -119,6 +119,7 @@ FORMS = {
 }
 
 
+@pytest.mark.ci_cases("plano", "hexagonal", "baffled")
 @pytest.mark.slow
 @needs_povray
 @pytest.mark.parametrize("design", FORMS)

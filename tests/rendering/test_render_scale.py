@@ -57,6 +57,7 @@ def test_a_sheet_of_1e18_lenslets_is_drawn_as_one_of_2500(rung):
     np.testing.assert_allclose(other, one, atol=1e-9)  # the middle of both is the same
 
 
+@pytest.mark.ci_cases("False-base", "True-phi_45_theta_0.5_psi_90")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["base", "phi_45_theta_0.5_psi_90"])
 @pytest.mark.parametrize("direct", [False, True])

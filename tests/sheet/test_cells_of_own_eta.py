@@ -506,6 +506,7 @@ def test_the_highest_step_is_found_where_radii_differ(tmp_path):
     )  # tables give values for the body, not for its middle cell
 
 
+@pytest.mark.ci_cases("plano, curved inside", "seam", "two axes, biconvex", "two axes, hexagonal")
 @pytest.mark.daily_cases("slab")
 @pytest.mark.parametrize(
     "form",

@@ -164,6 +164,7 @@ def test_a_stack_that_was_not_asked_for_fails(made: Path, gap: float, eta: float
     assert "shape" in {c.id for c in checks if c.state == "fail"}
 
 
+@pytest.mark.ci_cases("a sheet turned about", "cut short")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "what", ["a sheet turned about", "a sheet gone", "a sheet moved across", "cut short"]

@@ -77,6 +77,12 @@ def light_of_all_kinds(window, many=4000):
     return clacad.Rays(at - 2.0 * way, way)
 
 
+@pytest.mark.ci_cases(
+    "aimed, vertices traced-surfaces",
+    "pitch of array 2-surfaces",
+    "tilted lenses, aimed-surfaces",
+    "a table of eta, biconvex-surfaces",
+)
 @pytest.mark.parametrize("rung", ["law", "thin", pytest.param("surfaces", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", SHEETS)
 def test_kernels_of_every_rung_give_what_numpy_gives(name, rung):

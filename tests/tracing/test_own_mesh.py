@@ -145,6 +145,7 @@ def said_twice(name):
     return equal, differs
 
 
+@pytest.mark.ci_cases("biconvex", "seam")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["biconvex", *(pytest.param(n, marks=pytest.mark.slow) for n in SAME if n != "biconvex")]
@@ -208,6 +209,7 @@ SETTING = Setting(extinction=1e-5, roughness=2e-9, slope_rms=1e-4)
 PASSES = ("ghosts", "walls", "fresnel", "absorption", "tir_paths", "scatter", "polarisation")
 
 
+@pytest.mark.ci_cases("names0", "names3", "names7")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "names", [("ghosts", "fresnel", "walls"), *(pytest.param((n,), marks=pytest.mark.slow) for n in PASSES)]

@@ -180,6 +180,7 @@ def test_sheets_of_equal_cells_trace_bit_for_bit_as_before(name, rung):
     assert hashlib.sha256(bits).hexdigest()[:16] == GOLDEN[name, rung]
 
 
+@pytest.mark.ci_cases("plano", "hexagonal")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["window-100mm", "plano", "hexagonal", "paper-a-covered", "slab"])
 def test_the_compiled_twin_finds_what_numpy_finds(name):
@@ -202,6 +203,7 @@ def test_the_compiled_twin_finds_what_numpy_finds(name):
     assert np.abs(one.optical_path - two.optical_path).max() < 1e-13 * size
 
 
+@pytest.mark.ci_cases("plano", "hexagonal", "tilted-seam")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["window-100mm", "plano", "hexagonal", "tilted", "tilted-seam", "paper-a-covered", "slab"]

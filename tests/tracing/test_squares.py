@@ -48,6 +48,9 @@ def both_ways(window, triangles, rays):
     return found, wanted
 
 
+@pytest.mark.ci_cases(
+    "paper base", "web", "hexagonal", "round slab with seam", "biconvex tilted by 15 degrees"
+)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WINDOWS)
 def test_rays_end_as_they_do_in_the_trees(name):

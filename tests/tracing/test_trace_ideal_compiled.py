@@ -88,6 +88,9 @@ def test_both_paths_agree_on_rays_within_rounding_of_edges(name, rung):
     same_light(WINDOWS[name], rays_at_edges(WINDOWS[name], 3), rung)
 
 
+@pytest.mark.ci_cases(
+    "paper base", "web", "hexagonal", "round slab with seam", "biconvex tilted by 15 degrees"
+)
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WINDOWS)
 def test_both_paths_agree_on_many_rays_of_both_ideal_rungs(name):

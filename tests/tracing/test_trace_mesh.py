@@ -74,6 +74,7 @@ def follow(bodies, indices, start, ray):
     return "THROUGH", ray
 
 
+@pytest.mark.ci_cases("web", "hexagonal", "round slab with seam")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in WINDOWS if n not in ("baffle", "opaque seam", "round of cells")])
 def test_every_ray_does_what_all_triangles_together_say(name):
@@ -107,6 +108,7 @@ def test_every_ray_does_what_all_triangles_together_say(name):
         assert len(wrong) <= (2 if window.outline is not None else 0), wrong
 
 
+@pytest.mark.ci_cases("holes outside the rim", "opaque seam", "hexagonal", "round slab with seam")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WINDOWS)
 def test_numpy_and_kernels_find_the_same_among_facets(name):
@@ -157,6 +159,7 @@ def errors(window, normals, quads):
     return np.array(rms)
 
 
+@pytest.mark.ci_cases("hexagonal-facet-1.0", "biconic slab-vertex-2.0", "plano outside-facet-1.0")
 @pytest.mark.slow
 @pytest.mark.parametrize(("normals", "order"), [("facet", 1.0), ("vertex", 2.0)])
 @pytest.mark.parametrize("name", ["paper base", "hexagonal", "galilean", "biconic slab", "plano outside"])
@@ -176,6 +179,7 @@ def test_the_error_of_facets_is_what_their_slope_error_says():
     assert 0.011 < rms < 0.016
 
 
+@pytest.mark.ci_cases("tilted by 20 degrees", "opaque seam", "hexagonal", "round slab with seam")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WINDOWS)
 def test_no_ray_is_lost_among_facets(name):
@@ -238,6 +242,7 @@ def soup_of(mesh):
     return TriangleSoup(corners[np.random.default_rng(0).permutation(len(corners))])
 
 
+@pytest.mark.ci_cases("web", "hexagonal", "round slab with seam")
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in WINDOWS if n != "round of cells"])
 def test_triangles_from_anywhere_do_what_the_sheets_own_mesh_does(name):

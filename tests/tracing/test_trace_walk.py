@@ -42,6 +42,7 @@ def disagreements(window, number, seed):
     return out
 
 
+@pytest.mark.ci_cases("tilted by 20 degrees", "opaque seam", "hexagonal")
 @pytest.mark.daily_cases("offset")
 @pytest.mark.parametrize("name", often(WINDOWS, "web", "offset", "opaque seam", "hexagonal", "tilted by 20 degrees",
                                       "holes outside the rim"))  # fmt: skip

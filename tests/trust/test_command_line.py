@@ -47,6 +47,14 @@ def test_a_call_that_cannot_be_understood_is_2(
     assert [p.name for p in design.parent.iterdir()] == [design.name]
 
 
+@pytest.mark.ci_cases(
+    "export DESIGN -o OUT-1e18",
+    "export DESIGN -o OUT --format baffle,table,mask-1e18",
+    "check DESIGN --json-1e18",
+    "verify DESIGN-1e18",
+    "effects DESIGN-1e18",
+    "tolerance DESIGN-1e18",
+)
 @pytest.mark.daily_cases("trace DESIGN RAYS -o OUT/o.npz-1e18")
 @pytest.mark.parametrize(
     "count",
@@ -176,6 +184,7 @@ Worker.run = lambda self, function, *a, **k: run(self, "worker_tricks:{trick}", 
 """
 
 
+@pytest.mark.ci_cases("segfault-segmentation fault", "hang-did not finish", "garbage-nonsense")
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("trick", "words"),

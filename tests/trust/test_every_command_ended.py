@@ -144,6 +144,7 @@ CASES = [
 ]
 
 
+@pytest.mark.ci_cases("trace, a few", "image, a few", "shape, a few", "export, a few")
 @pytest.mark.parametrize(("name", "times"), CASES)
 def test_a_command_ended_at_any_instant_leaves_whole_files_and_the_next_run_no_trace(
     given: Path, tmp_path: Path, name: str, times: int

@@ -67,6 +67,7 @@ HEAVY = [
 ]
 
 
+@pytest.mark.ci_cases("export", "tolerance")
 @pytest.mark.slow
 @pytest.mark.parametrize("line", ["check t.toml -q", *HEAVY])
 def test_the_command_runs_no_module_of_the_folder_and_neither_do_its_children(

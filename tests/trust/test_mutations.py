@@ -189,6 +189,7 @@ CHANGES: dict[str, Change] = {
 }  # fmt: skip
 
 
+@pytest.mark.ci_cases("tiny.3mf", "tiny.glb", "tiny.step")
 @pytest.mark.daily_cases("tiny.stl")
 @pytest.mark.parametrize("name", [*MESHES, "tiny.step"])
 def test_unchanged_files_pass_with_a_manifest_and_without(
@@ -202,6 +203,14 @@ def test_unchanged_files_pass_with_a_manifest_and_without(
 MORE = ("facet doubled", "mirrored")
 
 
+@pytest.mark.ci_cases(
+    "tiny.stl-facet dropped",
+    "tiny.stl-x 25.4",
+    "tiny.3mf-facet turned over",
+    "tiny.3mf-lenslets exchanged",
+    "tiny.ply-radius changed",
+    "tiny.glb-all turned over",
+)
 @pytest.mark.daily_cases("tiny.glb-facet turned over", "tiny.3mf-x 25.4")
 @pytest.mark.parametrize(
     "what", [pytest.param(w, marks=pytest.mark.long) if w in MORE else w for w in CHANGES]
@@ -292,6 +301,7 @@ PLACES: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
 }  # fmt: skip
 
 
+@pytest.mark.ci_cases("glb: lenslet moved", "glb: lenslets of both arrays exchanged", "3mf: lenslet left out")
 @pytest.mark.slow
 @pytest.mark.parametrize("what", PLACES)
 def test_a_lenslet_in_a_wrong_place_is_caught(others: dict[str, bytes], tmp_path: Path, what: str) -> None:
@@ -344,6 +354,7 @@ def _all_in_inches(text: str) -> str:
     return re.sub(r"(=CARTESIAN_POINT\('[^']*',\()([^,()]+,[^,()]+,[^,()]+)\)", grown, text)
 
 
+@pytest.mark.ci_cases("radius changed", "face dropped")
 @pytest.mark.slow
 @pytest.mark.parametrize("change", [
     pytest.param(_pole_lifted, id="radius changed"),

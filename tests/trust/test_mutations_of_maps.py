@@ -152,6 +152,9 @@ CHANGES: dict[str, tuple[str, Change]] = {
 }  # fmt: skip
 
 
+@pytest.mark.ci_cases(
+    "tiny.brep", "tiny.sheet-back.cell.dat", "tiny.sheet-front.f32.tiff", "tiny.sheet-front.mask.dxf"
+)
 @pytest.mark.daily_cases("tiny.sheet-back.mask.svg")
 @pytest.mark.parametrize("name", sorted({name for name, _ in CHANGES.values()}))
 def test_unchanged_ones_pass_with_a_manifest_and_without(
@@ -162,6 +165,15 @@ def test_unchanged_ones_pass_with_a_manifest_and_without(
     assert not failed(alone(tmp_path / "alone", name, made[name]))
 
 
+@pytest.mark.ci_cases(
+    "float map: a pixel",
+    "png: a level",
+    "points: a normal",
+    "grid: a sag",
+    "table: lenslets exchanged",
+    "dxf: the outline",
+    "brep: a pole",
+)
 @pytest.mark.daily_cases("calibration: its step")
 @pytest.mark.parametrize("what", CHANGES)
 def test_a_changed_number_is_caught_with_a_manifest_that_vouches_for_it_and_without_any(

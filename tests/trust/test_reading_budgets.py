@@ -78,6 +78,7 @@ LESS: dict[str, tuple[dict[str, Any], str]] = {
 }
 
 
+@pytest.mark.ci_cases("tiny.3mf-seconds", "ascii.ply-items", "tiny.glb-bytes", "tiny.obj-seconds")
 @pytest.mark.daily_cases(
     "tiny.stl-bytes",
     "tiny.stl-items",
@@ -107,6 +108,7 @@ def of_format(folder: Path, format: str) -> Path:
     return next(path for path in sorted(folder.iterdir()) if path.name.endswith(kind.ends))
 
 
+@pytest.mark.ci_cases("tiff16", "xyz-normals", "pose-table", "gds")
 @pytest.mark.daily_cases("mask-svg", "mask-dxf")
 @pytest.mark.parametrize("format", OF_MAPS)
 def test_a_map_or_table_over_its_readers_budget_is_a_refusal_and_no_failure(

@@ -128,6 +128,7 @@ def shell(words: str, streams: str, folder: Path, **changes: str) -> subprocess.
     )  # fmt: skip
 
 
+@pytest.mark.ci_cases(">&-", "<&- >&- 2>&-")
 @pytest.mark.slow
 @pytest.mark.parametrize("line", [">&-", "2>&-", "<&- >&- 2>&-"])
 def test_a_closed_stream_changes_no_status(tmp_path: Path, line: str) -> None:

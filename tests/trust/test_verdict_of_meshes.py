@@ -25,6 +25,7 @@ def _only_files(monkeypatch: pytest.MonkeyPatch) -> None:
     only_files(monkeypatch)
 
 
+@pytest.mark.ci_cases("tilted-32", "galilean-8", "biconvex, hexagonal-32")
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "quads"), PAIRS)
 def test_a_mesh_is_a_master_where_light_through_its_triangles_keeps_the_limits(

@@ -32,6 +32,20 @@ def kits(tmp_path_factory: pytest.TempPathFactory) -> Kits:
     return Kits(tmp_path_factory.mktemp("bench"))
 
 
+@pytest.mark.ci_cases(
+    "copy: slab stl forged",
+    "coarse, declared when handed in: stl",
+    "one facet missing: slab glb forged",
+    "one facet turned: slab 3mf forged",
+    "mirrored: slab stl alone",
+    "radius of a corner lens 5 % off: slab ply forged",
+    "a lens left out: slab 3mf forged",
+    "grown by .2 %: slab 3mf",
+    "25.4 times as large: slab stl forged",
+    "manifest states large errors: mirrored stl",
+    "closed, inside out, declared a scan: slab stl",
+    "open, a master by its manifest: slab stl",
+)
 @pytest.mark.daily_cases(
     'manifest says bodies ["x"]: damaged stl',
     "manifest says no bodies: coarse stl",

@@ -45,6 +45,7 @@ def rms(angles):
     return float(np.sqrt(np.mean(angles**2)))
 
 
+@pytest.mark.ci_cases("aimed", "turned", "varying")
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_worst_cell_is_that_whose_light_leaves_farthest_from_its_law_by_plain_numpy(kind):
@@ -62,6 +63,7 @@ def test_the_worst_cell_is_that_whose_light_leaves_farthest_from_its_law_by_plai
     assert errors[tuple(seen.cell.tolist())] >= 0.97 * max(errors.values())  # chosen by an eighth of the rays
 
 
+@pytest.mark.ci_cases("other pitch", "tilted", "varying")
 @pytest.mark.slow  # it compiles the kernels of non-uniform sheets; numpy is compared with sixty digits every day
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_tracer_is_exact_in_fifty_digits_where_cells_differ(kind):

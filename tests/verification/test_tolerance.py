@@ -193,6 +193,7 @@ def small_errors():
     return tolerance(made, rays=64, farm=Farm(1))
 
 
+@pytest.mark.ci_cases("shift_x", "power_yy", "slip_yx")
 @pytest.mark.slow
 @pytest.mark.parametrize("measure", ["shift_x", "shift_y", "power_xx", "power_yy", "slip_yx"])
 def test_monte_carlo_agrees_with_the_linear_sensitivities_sheet_by_sheet(measure, small_errors):

@@ -77,6 +77,7 @@ def swapped(design):
     return prescribe(design.replace({"law.eta": eta}))
 
 
+@pytest.mark.ci_cases("tilt sign", "arrays swapped", "eta_x off by 2 %")
 @pytest.mark.daily_cases("turned by 90 degrees")
 @pytest.mark.parametrize(("window", "culprit"), [
     pytest.param(lambda: scaled_lens_2(prescribe(BASE), 1.01), "confocality", id="f2 + 1 %"),

@@ -135,6 +135,7 @@ def remedies(design):
     return found, check.sentence
 
 
+@pytest.mark.ci_cases("with holes", "imaging")
 @pytest.mark.daily_cases("offset")
 @pytest.mark.parametrize(
     ("data", "named"),

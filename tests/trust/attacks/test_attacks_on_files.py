@@ -110,6 +110,7 @@ def many(long: int) -> list[object]:
             pytest.param(range(long), marks=[pytest.mark.long, pytest.mark.timeout(1800)], id="all")]  # fmt: skip
 
 
+@pytest.mark.ci_cases("stl-tenth", "3mf-tenth", "glb-tenth")
 @pytest.mark.parametrize("numbers", many(300))
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_mutant_of_a_mesh_is_more_than_answered(
@@ -193,6 +194,9 @@ def maps(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[str, bytes
     return {end: (name, (folder / name).read_bytes()) for end, name in chosen.items()}
 
 
+@pytest.mark.ci_cases(
+    "u16.tiff-tenth", "xyz-tenth", "cell.dat-tenth", "surfaces.json-tenth", "mask.dxf-tenth"
+)
 @pytest.mark.parametrize("numbers", many(40))
 @pytest.mark.parametrize("end", MAPS)
 def test_every_mutant_of_a_map_table_or_mask_is_answered(
