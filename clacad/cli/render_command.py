@@ -112,11 +112,10 @@ def _refuse_design(path: Path) -> None:
 
 def _planned(scene: Scene, progress: Progress) -> Passage:
     """Passage of light through the sheets of a still."""
-    from clacad.prescription.prescribe import prescribe
     from clacad.rendering.sheet_passage import plan_passage
 
     progress("planning the effects")
-    return plan_passage(scene, prescribe(scene.design()))
+    return plan_passage(scene)
 
 
 def _coarsely(progress: Progress) -> Callable[[str, float | None], None]:

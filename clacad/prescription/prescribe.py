@@ -17,11 +17,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from clacad.config.toml_text import folder_of
 from clacad.design.sections import PAIR, AimedAt
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.face_order import refractions
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from clacad.base.types import Ints
     from clacad.design import Design
     from clacad.prescription.intent import Intent
@@ -67,6 +70,18 @@ def prescribe(design: Design) -> Window:
     except ArithmeticError as error:  # lengths too far apart in size
         message = f"the lengths of this design are too far apart in size to be computed with ({error})"
         raise DesignError.at(design, PAIR.separation, message) from error
+
+
+def prescribe_all(designs: Iterable[Design]) -> list[Window]:
+    """Sheets of several designs, each prescribed once; the same text in another folder may mean another table."""
+    made: dict[tuple[str, str], Window] = {}
+    windows = []
+    for design in designs:
+        key = (design.sha256, folder_of(design.path))
+        if key not in made:
+            made[key] = prescribe(design)
+        windows.append(made[key])
+    return windows
 
 
 def design_of_cell(design: Design, window: Window, cell: tuple[int, int]) -> Design:

@@ -186,12 +186,11 @@ def view_through(
     from clacad.tracing.compiled.threads import thread_count
 
     still = scene.at(0) if scene.animation is not None else scene
-    window = prescribe(still.design()) if window is None else window
     view = aim(still.camera)
     fast = worth_compiling(still) if compiled is None else compiled
     viewing = set_up(still, window, fast, passage, sheet)
     measured = _rendered(still, view, viewing, thread_count(threads), progress)
-    return Picture(*measured, still, viewing.passage, window)
+    return Picture(*measured, still, viewing.passage, viewing.window)
 
 
 def _rendered(

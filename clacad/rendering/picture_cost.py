@@ -80,7 +80,7 @@ def picture_seconds(scene: Scene, passage: Passage, frames: int = 1) -> Span:
     passage : As planned by `sheet_passage.plan_passage`.
     """
     view = aim(scene.camera)
-    viewing = set_up(scene, prescribe(scene.design()), worth_compiling(scene, frames), passage)
+    viewing = set_up(scene, passage.window, worth_compiling(scene, frames), passage)
     least, most = _seconds_a_pixel(viewing, view, int(scene.camera.samples))
     many = _again(viewing, scene, view) * view.width * view.height
     least *= _emptier(viewing, view)
@@ -324,7 +324,7 @@ def must_compile(scene: Scene, passage: Passage, frames: int = 1) -> bool:
     """
     if not worth_compiling(scene, frames):
         return False
-    viewing = set_up(scene, prescribe(scene.design()), True, passage)
+    viewing = set_up(scene, passage.window, True, passage)
     return not kernels_are_kept(viewing, aim(scene.camera))
 
 

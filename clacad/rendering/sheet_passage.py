@@ -39,6 +39,7 @@ class Passage:
     mesh : str or None. Rung mesh: the triangles.
     continuous : Rung law: use the law at the very point met, not that of the cell hit.
     several : All sheets, where there are more than one; the other attributes describe the first.
+    window : The sheet for which it was planned.
     """
 
     rung: Rung
@@ -47,6 +48,7 @@ class Passage:
     mesh: Mesh | str | None = None
     several: tuple[StackedPassage, ...] = ()
     continuous: bool = False
+    window: Window | None = None
 
     @property
     def plain(self) -> bool:
@@ -185,14 +187,9 @@ def stack_of(scene: Scene) -> Stack:
     Raises SceneError, DesignError: A design that cannot be read or made.
     Raises BadStack: Sheets overlap.
     """
-    from clacad.prescription.prescribe import prescribe
+    from clacad.prescription.prescribe import prescribe_all
 
-    made: dict[str, Window] = {}
-    windows = []
-    for design in scene.designs():
-        if design.sha256 not in made:
-            made[design.sha256] = prescribe(design)
-        windows.append(made[design.sha256])
+    windows = prescribe_all(scene.designs())
     unit = windows[0].unit
     sheets = [
         StackedSheet(spec.id, window, spec.z * (scene.unit_m / unit), window.unit / unit)
@@ -209,15 +206,18 @@ def in_scene(sheets: list[StackedSheet], unit: float, scene: Scene) -> Stack:
     return Stack(tuple(sheets), unit)
 
 
-def plan_passage(scene: Scene, window: Window) -> Passage:
+def plan_passage(scene: Scene, window: Window | None = None) -> Passage:
     """Choose rung and effects of a still scene, for each of several sheets.
 
+    window : Of a scene with one sheet, if prescribed already.
     Raises ValueError: An unknown effect, or sheets that overlap.
     """
     from clacad.effects.engine.plan import plan_effects, plan_sheets
+    from clacad.prescription.prescribe import prescribe
 
     if len(scene.sheets) == 1:
-        return _passage(scene, scene.sheet, plan_effects(scene), window)
+        window = prescribe(scene.design()) if window is None else window
+        return _passage(scene, scene.sheet, plan_effects(scene, window=window), window)
     stack = stack_of(scene)
     several = tuple(
         StackedPassage(one, _passage(scene, spec, plan, one.window), spec.surround == "opaque")
@@ -235,7 +235,7 @@ def _passage(scene: Scene, sheet: SheetSpec, plan: Plan, window: Window) -> Pass
         mesh = scene.file(sheet.mesh) if sheet.mesh else tessellate(window, quads=sheet.quads)
     ghosts = Fate.GHOST in {kind.shows for kind in declared_all(plan.names)}
     shining = (int(Fate.ALIVE), int(Fate.LAND), *((int(Fate.GHOST),) if ghosts else ()))
-    return Passage(plan.rung, shining, plan, mesh, continuous=_smooth(sheet, window))
+    return Passage(plan.rung, shining, plan, mesh, continuous=_smooth(sheet, window), window=window)
 
 
 def _smooth(sheet: SheetSpec, window: Window) -> bool:

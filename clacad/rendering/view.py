@@ -15,6 +15,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.rays import Rays
+from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import SpectralLine, View, Viewing, digits, lines
 from clacad.rendering.scene_arrays import BOX, FLOOR, SCREEN, SceneArrays, set_stage
 from clacad.rendering.scene_hits import background, look
@@ -149,16 +150,18 @@ UNTINTED = (1.0, 1.0, 1.0)
 
 
 def set_up(
-    scene: Scene, window: Window, compiled: bool, passage: Passage | None = None, sheet: bool = True
+    scene: Scene, window: Window | None, compiled: bool, passage: Passage | None = None, sheet: bool = True
 ) -> Viewing:
     """Prepare a still scene for rendering.
 
-    window : Prescribed from the scene's design.
+    window : None: that of the passage, or prescribed from the scene's design.
     passage : None: planned from the scene.
     sheet : False: the view without the sheet.
     """
     stage = set_stage(scene)
     planned = plan_passage(scene, window) if passage is None else passage
+    window = planned.window if window is None else window
+    window = prescribe(scene.design()) if window is None else window
     scale = scene.unit_m / window.unit
     front = 0.0 if planned.rung in ("law", "thin") else window.z_range[0] / scale
     box = _box_of_all(planned, window) / scale

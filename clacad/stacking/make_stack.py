@@ -317,7 +317,7 @@ def prepared(designs: Sequence[Design], asked: StackRequest) -> tuple[tuple[Desi
 
     Raises BadStack, DesignError, LimitRefused, UnknownFormat.
     """
-    from clacad.prescription.prescribe import prescribe
+    from clacad.prescription.prescribe import prescribe_all
 
     for name in asked.formats:
         if name not in FORMATS:
@@ -326,12 +326,8 @@ def prepared(designs: Sequence[Design], asked: StackRequest) -> tuple[tuple[Desi
     for design in made:
         refuse_uncountable(design)
     _refuse_numbers(asked)
-    windows: dict[str, Window] = {}
-    for design in made:
-        if design.sha256 not in windows:
-            windows[design.sha256] = prescribe(design)
     gaps = asked.gaps * (len(made) - 1) if len(asked.gaps) == 1 else asked.gaps
-    return made, stacked([windows[design.sha256] for design in made], gaps, asked.ids)
+    return made, stacked(prescribe_all(made), gaps, asked.ids)
 
 
 def _refuse_numbers(asked: StackRequest) -> None:

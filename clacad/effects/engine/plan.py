@@ -180,6 +180,7 @@ def plan_effects(
     chosen: Sequence[str] = (),
     force: Sequence[str] = (),
     without: Sequence[str] = (),
+    window: Window | None = None,
 ) -> Plan:
     """Choose the physical effects that a scene needs; each that is left out has a bound of what it would
     change.
@@ -196,6 +197,8 @@ def plan_effects(
         Default: the scene's, else "auto".
     chosen, force, without : names
         Mode list: exactly these; mode auto: plus these, minus these. Added to the scene's.
+    window : Window, optional
+        The sheet of a scene, if prescribed already.
 
     Raises
     ------
@@ -210,7 +213,7 @@ def plan_effects(
     >>> plan
     Plan(rung 'surfaces', ghosts, walls, fresnel, reflections)
     """
-    situation, wishes, asked = _look_at(target)
+    situation, wishes, asked = _look_at(target, window)
     return _planned(_within(situation, tolerance), wishes.with_(mode, chosen, force, without), asked, exact)
 
 
@@ -289,7 +292,9 @@ class Wishes:
         return merged
 
 
-def _look_at(target: Scene | Design | Window | Situation) -> tuple[Situation, Wishes, str]:
+def _look_at(
+    target: Scene | Design | Window | Situation, window: Window | None
+) -> tuple[Situation, Wishes, str]:
     """Situation, wishes and requested rung of the target of a plan."""
     from clacad.effects.engine import probe_rays
 
@@ -303,7 +308,7 @@ def _look_at(target: Scene | Design | Window | Situation) -> tuple[Situation, Wi
         return probe_rays.situation_of_design(target), Wishes(), "surfaces"
     if len(target.sheets) > 1:
         raise ValueError("the scene has several sheets: clacad.effects.plan_sheets plans each of them")
-    return probe_rays.situation_of_scene(target), _wishes(target), target.sheet.rung
+    return probe_rays.situation_of_scene(target, window), _wishes(target), target.sheet.rung
 
 
 def _wishes(scene: Scene) -> Wishes:
