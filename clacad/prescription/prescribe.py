@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from clacad.config.toml_text import folder_of
 from clacad.design.sections import PAIR, AimedAt
 from clacad.prescription.radii import NoSuchLens
 from clacad.sheet.face_order import refractions
@@ -73,14 +72,13 @@ def prescribe(design: Design) -> Window:
 
 
 def prescribe_all(designs: Iterable[Design]) -> list[Window]:
-    """Sheets of several designs, each prescribed once; the same text in another folder may mean another table."""
-    made: dict[tuple[str, str], Window] = {}
+    """Sheets of several designs, equal ones prescribed once."""
+    made: dict[str, Window] = {}
     windows = []
     for design in designs:
-        key = (design.sha256, folder_of(design.path))
-        if key not in made:
-            made[key] = prescribe(design)
-        windows.append(made[key])
+        if design.sha256 not in made:
+            made[design.sha256] = prescribe(design)
+        windows.append(made[design.sha256])
     return windows
 
 

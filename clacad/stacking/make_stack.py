@@ -33,7 +33,6 @@ from clacad.tracing.through_stack import StackTracer
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.sheet.window import Window
 
 
 FORMATS = (STEP, GLB)

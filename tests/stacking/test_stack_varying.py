@@ -361,19 +361,3 @@ def test_a_chief_ray_that_misses_a_sheet_is_refused():
     made = standing([{}, {}], 200)
     with pytest.raises(BadStack, match=r"sheet b: the chief ray of cell \(0, 0\) misses it"):
         about_cell(made, (0, 0), (0.05, 0.0))
-
-
-def test_the_same_text_in_two_folders_means_two_tables(tmp_path: Path) -> None:
-    """A table of cells lies beside its design: each sheet of a stack takes its own."""
-    designs = []
-    for name, offset in (("a", 0.01), ("b", 0.02)):
-        folder = tmp_path / name
-        folder.mkdir()
-        (folder / "cells.csv").write_text(f"i,j,delta_x,delta_y\n0,0,{offset},0\n")
-        text = clacad.load("slab", ["lattice.count = [1, 1]", 'law.table = "cells.csv"']).canonical_toml()
-        (folder / "design.toml").write_text(text)
-        designs.append(clacad.load(str(folder / "design.toml")))
-    assert designs[0].sha256 == designs[1].sha256
-    first, second, again = prescribe_all([*designs, designs[0]])
-    assert [sheet.law_at((0, 0)).delta_x for sheet in (first, second)] == [0.01, 0.02]
-    assert again is first
