@@ -11,6 +11,7 @@ os.environ["PYTHONPATH"] = os.pathsep.join(
     [str(HERE.parent), str(HERE)]
 )  # for the processes that make figures
 os.environ.setdefault("CLACAD_THREADS", "2")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads of BLAS cost more than they give
 
 import clacad  # noqa: E402
 

@@ -295,15 +295,15 @@ def cloak(folder: Path) -> None:
 def corrected(folder: Path) -> None:
     """Light of the parts of five simulated makers, as made and after two corrections, for three designs."""
     sys.path.insert(0, str(ROOT / "tests"))
-    from making.loops import design, designed, loop
+    from making.loops import design, designed, light, parts
     from making.makers import MAKERS
 
     rows = []
     for name in ("window-100mm", "hexagonal", "slab"):
         best = designed(design(name))
         for maker in MAKERS.values():
-            first, *_, last = loop(design(name), maker, 2)
-            values = (best, first, last)
+            first, *_, last = parts(design(name), maker, 2)
+            values = (best, light(design(name), first), light(design(name), last))
             rows.append([f"`{name}`", maker.name, *(f"{1e3 * v:.3f}" for v in values), f"{last / best:.2f}"])
     head = ["design", "process", "as designed", "as made", "after two corrections", "over the design's"]
     (folder / "corrected.md").write_text(_table(head, rows, texts=2), encoding="utf-8")

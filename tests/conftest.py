@@ -25,6 +25,9 @@ settings.load_profile("clacad")
 # forecasts rest on nothing that ran here before, and tests leave nothing in the user's cache
 os.environ["CLACAD_CACHE_DIR"] = ""
 
+# two workers on two cores: threads of BLAS for small matrices cost several times what they compute
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # started in the background by a shell that ignores Ctrl-C for its jobs; programs under test would inherit that
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -65,6 +68,8 @@ def mark_by_case(item: pytest.Item, case: str) -> None:
     if by_hand or item.get_closest_marker("long"):
         item.own_markers = [mark for mark in item.own_markers if mark.name != "slow"]
         item.add_marker(pytest.mark.long)
+        if by_hand:
+            item.add_marker(pytest.mark.like)
     elif slow:
         item.add_marker(pytest.mark.slow)
 
