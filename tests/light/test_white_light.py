@@ -36,7 +36,7 @@ from clacad.verification.tolerance.study import limits
 DATA = Path(__file__).parents[1] / "data"
 DESIGNS = Path(__file__).parents[2] / "designs"
 RAYS = 4096
-PLATES = "three-plates-10deg"
+PLATES, OWN = "three-plates-10deg", "window"
 
 
 @cache
@@ -323,13 +323,16 @@ def test_a_sweep_of_a_design_that_states_its_light_has_the_rows_of_white_light()
 
 
 @pytest.mark.daily_cases("16384-three-plates-10deg", "16384-hexagonal", "65836-three-plates-10deg")
-@pytest.mark.parametrize("kind", [PLATES, "hexagonal", "slab"])
+@pytest.mark.parametrize("kind", [PLATES, "hexagonal", "slab", OWN])
 @pytest.mark.parametrize("rows", [1 << 14, (1 << 16) + 300])
 def test_lines_traced_at_once_are_those_traced_one_by_one_bit_by_bit(kind, rows):
-    """Also of rays that are walked, of faces solved by iteration, and where the rays take two pieces."""
-    window = clacad.prescribe(
-        load(kind, ["lattice.count = [5, 5]"] + ['pair.material = "PMMA"'] * (kind != PLATES))
-    )
+    """Also of rays that are walked, of faces solved by iteration, of cells with lenses of their own, and
+    where the rays take two pieces.
+    """
+    changes = {PLATES: [], OWN: ["lattice.aperture = {point = [0, 0, -300]}"]}
+    given = changes.get(kind, ['pair.material = "PMMA"'])
+    window = clacad.prescribe(load(kind, ["lattice.count = [5, 5]", *given]))
+    assert window.uniform == (kind != OWN)
     rays = bundle(window, rows, 0.15).rays
     tracer, waves = SheetTracer(window, path="numba"), [486.1e-9, 587.6e-9, 656.3e-9]
     pieces = list(tracer.in_lines(rays, waves))

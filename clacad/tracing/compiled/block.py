@@ -28,7 +28,10 @@ non-uniform sheets.
 MET: first of the rows that keep the hits on the first face, which are those of every line of light.
 """
 
-KEPT = (X, Y, Z, DX, DY, DZ, ROOT, PATH, GOOD, CI, CJ)
+KEPT = (X, Y, Z, DX, DY, DZ, ROOT, PATH, GOOD, CI, CJ, GX, GY, GZ, AX, AY, SIZE)
+QUADRIC_ROWS = 11
+"""How many of the kept rows a quadric of equal cells needs: its normals follow from the hits."""
+
 SCRATCH = MET + len(KEPT)
 
 RANGE = ROOT
@@ -95,9 +98,9 @@ def copy_row(one: Floats, other: Floats, m: int) -> None:
 
 
 @exact
-def keep_hits(s: Floats, m: int, back: bool) -> None:
-    """Keep the rows of a block as its rays meet the first face, or fetch them back."""
-    for k in range(len(KEPT)):
+def keep_hits(s: Floats, m: int, back: bool, count: int) -> None:
+    """Keep the first `count` rows of KEPT as the rays of a block meet the first face, or fetch them back."""
+    for k in range(count):
         if back:
             copy_row(lane(s, MET + k), lane(s, KEPT[k]), m)
         else:

@@ -42,7 +42,7 @@ from clacad.tracing.compiled.block import (
     store_block,
 )
 from clacad.tracing.compiled.launch import launch_block, launch_ray
-from clacad.tracing.compiled.packing import BICONIC, Packed, in_single, pack, pack_own
+from clacad.tracing.compiled.packing import Packed, in_single, pack, pack_own
 from clacad.tracing.compiled.records import Outcome, Scratch, new_scratch
 from clacad.tracing.compiled.straight_path import straight
 from clacad.tracing.compiled.threads import CHUNK, in_arrays, over_threads
@@ -99,7 +99,7 @@ def trace_chunk(
     """Trace the rays `chosen` of `start` and `ray` (n, 3), write their rows, return how many were walked.
 
     Media of several lines of light follow one another, and so do the rows of the lines in `out`, n of each.
-    The launch, and the hits on a first quadric, are computed once for all lines.
+    The launch, and the hits on the first face, are computed once for all lines.
     """
     s, carried, scratch = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK), new_scratch()
     lines, media = len(sheet.media) // (len(sheet.faces) + 1), np.empty(len(sheet.faces) + 1)
@@ -107,7 +107,7 @@ def trace_chunk(
     lit = Packed(faces, bodies, lat, sheet.rows, media, losses, sheet.edges, sheet.lattices, sheet.own)
     waiting, counts = np.empty((lines, WAITING + BLOCK), dtype=np.intp), np.zeros(lines, dtype=np.intp)
     rows, walked = np.empty(BLOCK, dtype=np.intp), 0
-    shared = lines > 1 and tiles is None and sheet.own is None and sheet.faces[0, BICONIC] == 0.0
+    shared = lines > 1 and tiles is None
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)

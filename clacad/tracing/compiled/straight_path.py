@@ -42,10 +42,12 @@ from clacad.tracing.compiled.block import (
     GX,
     GY,
     GZ,
+    KEPT,
     LEFT_X,
     LEFT_Y,
     OVER,
     PATH,
+    QUADRIC_ROWS,
     ROOT,
     SHARE,
     STEEP,
@@ -176,24 +178,30 @@ def _normals(face: Floats, s: Floats, m: int) -> None:
 
 
 @exact
-def _meet_biconic(faces: Floats, f: int, s: Floats, m: int, media: Media, offset: Vector) -> None:
-    """Both loops of a biconic face, ray by ray: the number of Newton steps varies."""
-    (n1, n2), (ox, oy, oz) = media, offset
-    mu = n1 / n2
-    weight = (n2 - n1) / n2 * ((n2 + n1) / n2)
+def _meet_biconic(faces: Floats, f: int, s: Floats, m: int, n1: float, offset: Vector) -> None:
+    """First loop of a biconic face, ray by ray: the number of Newton steps varies."""
+    ox, oy, oz = offset
     for i in range(m):
         t, x, y, z, gx, gy, gz, root = meet(
             faces, f, s[X, i] + ox, s[Y, i] + oy, s[Z, i] + oz, s[DX, i], s[DY, i], s[DZ, i]
         )
-        incident = mu * root
-        g = bend(gx * gx + gy * gy + gz * gz, incident, weight)
         s[X, i], s[Y, i], s[Z, i], s[ROOT, i] = x, y, z, root
-        s[DX, i], s[DY, i] = mu * s[DX, i] + g * gx, mu * s[DY, i] + g * gy
-        s[DZ, i] = mu * s[DZ, i] + g * gz
         s[GX, i], s[GY, i], s[GZ, i] = gx, gy, gz
         s[PATH, i] += n1 * t
         if not gz > 0.0:
             s[GOOD, i] = 0.0
+
+
+@exact
+def _refract_biconic(s: Floats, m: int, media: Media) -> None:
+    """Second loop of a face with stored normals: Snell's law."""
+    dx, dy, dz, root, gx, gy, gz = lanes(s, (DX, DY, DZ, ROOT, GX, GY, GZ))
+    n1, n2 = media
+    real = s.dtype.type
+    mu, weight = real(n1 / n2), real((n2 - n1) / n2 * ((n2 + n1) / n2))
+    for i in range(m):
+        g = bend(gx[i] * gx[i] + gy[i] * gy[i] + gz[i] * gz[i], mu * root[i], weight)
+        dx[i], dy[i], dz[i] = mu * dx[i] + g * gx[i], mu * dy[i] + g * gy[i], mu * dz[i] + g * gz[i]
 
 
 @exact
@@ -355,23 +363,24 @@ def _cross(
         face[slot.TURNED] != 0.0,
         face[slot.BICONIC] == 0.0,
     )
-    hx, hy, lowest = inf, inf, climb
-    plain = quadric and not turned
+    hx, hy, lowest, plain, first = inf, inf, climb, quadric and not turned, f or line <= 0
     margin = lat[slot.MARGIN]
     if within and plain and lat[slot.HEXAGONAL] == 0.0:
         hx, hy = lat[slot.HALF] - margin, lat[slot.HALF + 1] - margin
     if turned:
-        if f or line <= 0:
+        if first:
             _turn_in(face, s, m, offset)
         offset, lowest = (0.0, 0.0, 0.0), -2.0
+    if first and quadric:
+        _meet_quadric(face, s, m, media[0], offset)
+    elif first:
+        _meet_biconic(faces, f, s, m, media[0], offset)
+    if f == 0 and line == 0:
+        keep_hits(s, m, False, _kept(own, face))
     if quadric:
-        if f or line <= 0:
-            _meet_quadric(face, s, m, media[0], offset)
-        if f == 0 and line == 0:
-            keep_hits(s, m, False)
         _refract_quadric(face, s, m, media, lowest, hx, hy)
     else:
-        _meet_biconic(faces, f, s, m, media, offset)
+        _refract_biconic(s, m, media)
     if turned:
         if quadric:
             _normals(face, s, m)
@@ -604,12 +613,18 @@ def _past_joint(
 
 
 @inlined
-def _begin(s: Floats, m: int, counted: bool, line: int) -> None:
+def _kept(own: OwnCells | None, face: Floats) -> int:
+    """How many rows describe the hits on a first face (`keep_hits`)."""
+    return QUADRIC_ROWS if own is None and face[slot.BICONIC] == 0.0 else len(KEPT)
+
+
+@inlined
+def _begin(sheet: Packed, s: Floats, m: int, line: int) -> None:
     """Nothing is lost yet; of a further line of light, fetch the hits on the first face."""
-    for i in range(m if counted else 0):
+    for i in range(m if len(sheet.losses) > 0 else 0):
         s[SHARE, i], s[OVER, i], s[DEPTH, i] = 1.0, 1.0, 0.0
     if line > 0:
-        keep_hits(s, m, True)
+        keep_hits(s, m, True, _kept(sheet.own, sheet.faces[0]))
 
 
 @inlined
@@ -660,7 +675,7 @@ def straight(
     """
     faces, bodies, lat, own = sheet.faces, sheet.bodies, sheet.lattice, sheet.own
     m, array, gone, met, counted = len(chosen), 0, 0, 0, len(sheet.losses) > 0
-    _begin(s, m, counted, line)
+    _begin(sheet, s, m, line)
     ox, oy, oz = 0.0, 0.0, 0.0  # origin of the positions: cell's centre, body's level
     for b in range(len(bodies)):
         body, columnar = bodies[b], bodies[b, slot.COLUMNAR] != 0.0
@@ -697,7 +712,8 @@ def straight(
                 if structured:
                     hold_in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
             else:
-                _into_lens(own, sheet, f, s, m, (ox - vx, oy - vy, oz - vz))
+                if f or line <= 0:
+                    _into_lens(own, sheet, f, s, m, (ox - vx, oy - vy, oz - vz))
                 _cross(own, sheet, f, s, m, media, climb, (ox - vx, oy - vy, oz - vz), line)
             _leave(sheet, f, s, m, media, tiles is not None)
             ox, oy, oz = vx, vy, vz
