@@ -30,7 +30,7 @@ MET: first of the rows that keep the hits on the first face, which are those of 
 
 KEPT = (X, Y, Z, DX, DY, DZ, ROOT, PATH, GOOD, CI, CJ, GX, GY, GZ, AX, AY, SIZE)
 QUADRIC_ROWS = 11
-"""How many of the kept rows a quadric of equal cells needs: its normals follow from the hits."""
+"""Count of kept rows that the quadrics of a uniform sheet need: their normals follow from the hits."""
 
 SCRATCH = MET + len(KEPT)
 

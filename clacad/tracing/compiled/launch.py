@@ -105,7 +105,7 @@ def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
 
 @exact
 def _normalise(s: Floats, m: int) -> None:
-    """Scale directions to length 1, and quantities counted in their lengths accordinglywhere it is not 1."""
+    """Scale directions whose length is not 1 to length 1, and with them quantities counted in their lengths."""
     dx, dy, dz, path = lanes(s, (DX, DY, DZ, PATH))
     for k in range(m):
         a, b, c = dx[k], dy[k], dz[k]
