@@ -133,10 +133,11 @@ class SheetTracer:
     def in_lines(self, rays: Rays, waves: Sequence[float]) -> Iterator[tuple[TraceResult, ...]]:
         """The same rays in several lines of light (metres), piece by piece: one result a line.
 
-        Exact surfaces, compiled, compute what no colour changes once for all lines.
+        Exact surfaces, compiled in double precision, compute what no colour changes once for all lines.
         """
         media = [media_of(self.window.bodies, wave) for wave in waves]
         alike = self.rung == "surfaces" and len({first for first, *_ in media}) == 1
+        alike &= self.precision == "float64"
         compiled = alike and self._chosen(len(rays) * len(waves)) == "numba"
         piece = PIECE if compiled else max(1, len(rays))
         for first in range(0, len(rays), piece):

@@ -27,6 +27,8 @@ from clacad.optics.material.material import ThermalNumbers
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.bundle import RequestedLaw, bundle
 from clacad.sheet.like_cell import heated, in_light
+from clacad.tracing.compiled.packing import BICONIC, pack
+from clacad.tracing.layout import lay_out
 from clacad.tracing.trace import SheetTracer
 from clacad.tracing.worst_cell import worst_cell
 from clacad.verification.tolerance.light_measures import STATED, bench, measures_of
@@ -36,7 +38,7 @@ from clacad.verification.tolerance.study import limits
 DATA = Path(__file__).parents[1] / "data"
 DESIGNS = Path(__file__).parents[2] / "designs"
 RAYS = 4096
-PLATES, OWN = "three-plates-10deg", "window"
+PLATES, OWN, BICONIC_SLAB = "three-plates-10deg", "window", "law.eta = [-1, -0.5]"
 
 
 @cache
@@ -323,15 +325,17 @@ def test_a_sweep_of_a_design_that_states_its_light_has_the_rows_of_white_light()
 
 
 @pytest.mark.daily_cases("16384-three-plates-10deg", "16384-hexagonal", "65836-three-plates-10deg")
-@pytest.mark.parametrize("kind", [PLATES, "hexagonal", "slab", OWN])
+@pytest.mark.parametrize("kind", [PLATES, "hexagonal", "slab", OWN, BICONIC_SLAB])
 @pytest.mark.parametrize("rows", [1 << 14, (1 << 16) + 300])
 def test_lines_traced_at_once_are_those_traced_one_by_one_bit_by_bit(kind, rows):
     """Also of rays that are walked, of faces solved by iteration, of cells with lenses of their own, and
     where the rays take two pieces.
     """
-    changes = {PLATES: [], OWN: ["lattice.aperture = {point = [0, 0, -300]}"]}
+    changes = {PLATES: [], OWN: ["lattice.aperture = {point = [0, 0, -300]}"], BICONIC_SLAB: [BICONIC_SLAB]}
     given = changes.get(kind, ['pair.material = "PMMA"'])
-    window = clacad.prescribe(load(kind, ["lattice.count = [5, 5]", *given]))
+    window = clacad.prescribe(
+        load("slab" if kind == BICONIC_SLAB else kind, ["lattice.count = [5, 5]", *given])
+    )
     assert window.uniform == (kind != OWN)
     rays = bundle(window, rows, 0.15).rays
     tracer, waves = SheetTracer(window, path="numba"), [486.1e-9, 587.6e-9, 656.3e-9]
@@ -343,3 +347,21 @@ def test_lines_traced_at_once_are_those_traced_one_by_one_bit_by_bit(kind, rows)
         for name in ("position", "direction", "fate", "optical_path", "cell", "order", "surface"):
             together = np.concatenate([getattr(one, name) for one in found])
             assert np.array_equal(together, getattr(alone, name), equal_nan=True), name
+
+
+@pytest.mark.parametrize("eta", ["[-1, -0.5]", "[-1, -1]"])
+def test_lines_in_single_precision_are_rounded_as_one_line_is(eta):
+    """Where the first face is solved by iteration, and where it is a quadric."""
+    window = clacad.prescribe(load("slab", ["lattice.count = [5, 5]", f"law.eta = {eta}"]))
+    assert (pack(lay_out(window)).faces[0, BICONIC] != 0.0) == (eta != "[-1, -1]")
+    rays = bundle(window, 4096, 0.15).rays
+    double, single = (SheetTracer(window, path="numba", precision=one) for one in ("float64", "float32"))
+    (found,) = single.in_lines(rays, waves := (486.1e-9, 656.3e-9))
+    (exact,) = double.in_lines(rays, waves)
+    for wave, one, other in zip(waves, found, exact):
+        alone = single(Rays(rays.position, rays.direction, wave))
+        assert np.array_equal(one.direction, alone.direction, equal_nan=True)
+        lit = (one.fate == other.fate) & (one.fate <= Fate.GHOST) & (one.order == other.order).all(axis=1)
+        apart = np.linalg.norm(one.direction - other.direction, axis=1)[lit]
+        assert lit.sum() > 100
+        assert 1e-9 < np.median(apart) < 1e-6
