@@ -105,7 +105,7 @@ def launch_block(lat: Floats, body: Floats, s: Floats, m: int) -> None:
 
 @exact
 def _normalise(s: Floats, m: int) -> None:
-    """Scale directions whose length is not 1 to length 1, and with them quantities counted in their lengths."""
+    """Scale directions whose length is not 1 to unit length, and the paths counted in their lengths."""
     dx, dy, dz, path = lanes(s, (DX, DY, DZ, PATH))
     for k in range(m):
         a, b, c = dx[k], dy[k], dz[k]
