@@ -11,20 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from clacad.base.types import Rows, Rung
-from clacad.optics.rays import Fate, OneRay, Rays, TraceResult, as_rays
+from clacad.optics.rays import OneRay, Rays, TraceResult, as_rays
 from clacad.sheet.face_order import media_of
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Window
 from clacad.tracing.facets.tiles import Tiles
 from clacad.tracing.layout import Layout, lay_out
 from clacad.tracing.ledger import Ledger
-from clacad.tracing.reference.face import on_line
 from clacad.tracing.reference.launch import trace_law
 from clacad.tracing.which_path import (
     IDEAL_FACES,
@@ -95,18 +94,6 @@ class SheetTracer:
         rays = as_rays(rays)
         if self.precision == "float32" and record:
             raise ValueError('precision "float32" keeps no record')
-        if self.lined:
-            found = _ended_at_line(lay_out(self.window), rays, self._without_line(rays, record=True))
-            return found if record else replace(found, hits=None, directions=None)
-        return self._without_line(rays, record)
-
-    @property
-    def lined(self) -> bool:
-        """Whether the recorded hits decide which rays an opaque line ends: of exact surfaces and facets."""
-        return self.window.land.lined >= 0 and self.rung in ("surfaces", "mesh")
-
-    def _without_line(self, rays: Rays, record: bool) -> TraceResult:
-        """Trace rays, regardless of a line printed on a face."""
         ideal = {"law": 1, "thin": 2}.get(self.rung)
         faces = 2 * len(self.window.bodies) if ideal is None else IDEAL_FACES
         recorded = (ideal or faces) if record else 0
@@ -178,8 +165,6 @@ class SheetTracer:
 
     def _chosen(self, rays: int) -> Path:
         """Path for a number of rays, regardless of the pieces they are traced in."""
-        if self.lined:
-            return "numpy"
         if self.facets is not None or self.precision == "float32":
             few = self._tiles_in_numpy(rays, 2 * len(self.window.bodies))
             return "numpy" if few else "numba"
@@ -237,27 +222,6 @@ def _by_numpy(layout: Layout, rays: Rays, rung: Rung, recorded: int, continuous:
         for same, media in colours(layout, rays, rows):
             trace_surfaces(layout, ledger, same, media)
     return ledger.closed()
-
-
-def _ended_at_line(layout: Layout, rays: Rays, found: TraceResult) -> TraceResult:
-    """A recorded trace in which the opaque line of a face ends the rays that hit it."""
-    number = layout.window.land.lined
-    assert found.hits is not None
-    assert found.directions is not None  # both recorded
-    rows = np.flatnonzero((found.surface >= number) & on_line(layout, found.hits[number, :, :2]))
-    names = ("hits", "directions", "optical_path", "fate", "surface", "position", "direction")
-    changed = {name: getattr(found, name).copy() for name in names}
-    hits, ways = changed["hits"], changed["directions"]
-    before = ways[number - 1] if number else rays.direction
-    hits[number + 1 :, rows], ways[number:, rows] = hits[number, rows], before[rows]
-    for same, media in colours(layout, rays, rows):
-        ends = np.stack([rays.position[same], *hits[: number + 1, same]])
-        changed["optical_path"][same] = np.array(media[: number + 1]) @ np.linalg.norm(
-            np.diff(ends, axis=0), axis=2
-        )
-    changed["fate"][rows], changed["surface"][rows] = Fate.VIGNETTED, number
-    changed["position"][rows], changed["direction"][rows] = hits[number, rows], before[rows]
-    return replace(found, **changed)
 
 
 def _enter(result: TraceResult, rows: Rows, own: TraceResult) -> None:

@@ -72,7 +72,7 @@ object = [
 
 
 def wide_field(file: Path) -> None:
-    """Real images in front of 200 mm sheets of eta -1, from -8, 0 and 8 degrees: field lenses, and three plates below.
+    """Real images in front of 200 mm sheets of eta -1, from -8, 0 and 8 degrees: field lenses; below, three plates with an opaque line.
 
     The outer columns of a picture are seen 10 degrees off the normal.
     """
@@ -81,7 +81,9 @@ def wide_field(file: Path) -> None:
         folder = Path(name)
         shutil.copy(ROOT / "designs/chess-knight.stl", folder)
         (folder / "today.toml").write_text(TODAY)
-        (folder / "three.toml").write_text(template("three", "three-plates-10deg"))
+        three = template("three", "three-plates-10deg")
+        line = '[lattice]\nline = {face = 1, width = "12 um"}'
+        (folder / "three.toml").write_text(three.replace("[lattice]", line))
         for design in ("today.toml", "three.toml"):
             views = []
             for angle in np.radians([-8.0, 0.0, 8.0]):

@@ -109,7 +109,7 @@ def reflected_paths(
 def known_to_compiled(window: Window, setting: Setting) -> bool:
     """Whether the compiled paths support everything in the window."""
     plain = window.uniform and all(isinstance(face.surface, Quadric) for face in window.faces)
-    apart = window.baffle is None and window.land.lined < 0 and not any(body.joined for body in window.bodies)
+    apart = window.baffle is None and not any(body.joined for body in window.bodies)
     return plain and apart and setting.order <= 2
 
 

@@ -23,6 +23,7 @@ from clacad.base.compiled import entry, exact
 from clacad.base.types import Bytes, Cells, Floats, Rows
 from clacad.optics.rays import Fate
 from clacad.tracing.compiled import packing as slot
+from clacad.tracing.compiled.array_cells import on_line
 from clacad.tracing.compiled.cells import in_zone, kept, relocate
 from clacad.tracing.compiled.column import well_inside
 from clacad.tracing.compiled.face import bend, to_lens, to_sheet
@@ -167,6 +168,11 @@ def through(
     if not t >= 0.0:
         return np.nan, ray, 0.0, ray
     x, y, z = x + t * u, y + t * v, z + t * w
+    if sheet.lattice[slot.LINED] == k:
+        array = int(sheet.lattice[slot.LINE_ARRAY])
+        i, j, cx, cy = _cell_of(sheet.lattice, array, x, y)
+        if on_line(sheet, k, array, i, j, cx, cy):
+            return np.nan, ray, 0.0, ray
     along = u * nx + v * ny + w * nz
     if along < 0.0:
         nx, ny, nz, along = -nx, -ny, -nz, -along

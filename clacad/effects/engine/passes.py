@@ -253,7 +253,7 @@ class _BlockRun:
         options: dict[str, Any],
     ) -> _BlockRun:
         """Choose the way of tracing; `options["path"]` is "numba" or "numpy"."""
-        fast = options["path"] == "numba" and rung == "surfaces" and window.uniform and window.land.lined < 0
+        fast = options["path"] == "numba" and rung == "surfaces" and window.uniform
         lossy = [effect for effect in passes if effect.losses is not None]
         others = [effect for effect in passes if effect.losses is None]
         if not fast or record or any("hits" in effect.needs for effect in others):

@@ -26,11 +26,10 @@ HAIR = 1e-9
 
 
 def suits(sheet: Packed) -> bool:
-    """Whether this module supports a sheet: convex quadrics in columns, no land, no honeycomb."""
+    """Whether this module supports a sheet: convex quadrics in columns, no land, line or honeycomb."""
     faces, bodies, lattice = sheet.faces, sheet.bodies, sheet.lattice
-    plain = (
-        lattice[slot.PLAIN] != 0.0 and lattice[slot.BAFFLE] == slot.NO_BAFFLE and lattice[slot.MARGIN] == 0.0
-    )
+    open_gap = lattice[slot.BAFFLE] == slot.NO_BAFFLE and lattice[slot.LINED] < 0.0
+    plain = lattice[slot.PLAIN] != 0.0 and open_gap and lattice[slot.MARGIN] == 0.0
     columns = (bodies[:, slot.COLUMNAR] != 0.0).all() and (bodies[:, slot.OUTLINE] == slot.NO_OUTLINE).all()
     convex = (faces[:, (slot.CX, slot.CY, slot.KX)] > 0.0).all() and (faces[:, slot.BICONIC] == 0.0).all()
     bare = np.isnan(faces[:, slot.LAND]).all() and (faces[:, slot.ARRAY] >= 0.0).all()

@@ -40,7 +40,7 @@ from clacad.tracing.compiled.block import (
     lane,
     lanes,
 )
-from clacad.tracing.compiled.cells import hexagon_steps, kept, locate, relocate, to_array
+from clacad.tracing.compiled.cells import hexagon_steps, in_zone, kept, locate, relocate, to_array
 from clacad.tracing.compiled.face import height, lens_roots
 from clacad.tracing.compiled.packing import OwnCells, Packed
 from clacad.tracing.compiled.records import Ray, Vector
@@ -208,6 +208,18 @@ def _into_own(lattices: Floats, of: int, array: int, i: float, j: float, x: floa
     h, e = two_sum(here[slot.SHIFT + 2 * of + 1], -here[slot.SHIFT + 2 * array + 1])
     yh, yl = pair_sum(yh, yl, h, e)
     return locate(there, xh, xl, yh, yl)
+
+
+@exact
+def on_line(sheet: Packed, f: int, of: int, i: float, j: float, x: float, y: float) -> bool:
+    """Whether a point of face f, given in the cells of array `of`, lies on its opaque line, if it has one."""
+    lat = sheet.lattice
+    if lat[slot.LINED] != f:
+        return False
+    array = int(lat[slot.LINE_ARRAY])
+    i, j, x, y = into_array(sheet, sheet.own, of, array, i, j, x, y)
+    inside = in_zone(sheet.lattices[array], x, y, lat[slot.LINE])
+    return kept(lat, sheet.rows, i, j) and not inside
 
 
 @exact

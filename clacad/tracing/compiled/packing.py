@@ -12,7 +12,7 @@ from clacad.base.types import Floats, Ints
 from clacad.optics.surface.sag_and_normal import EvenPolynomial, Quadric
 from clacad.sheet.cell_places import VertexChange
 from clacad.sheet.edge_columns import EDGE_NUMBERS
-from clacad.sheet.face_order import media_of
+from clacad.sheet.face_order import lined_array, media_of
 from clacad.sheet.lattice import runs
 from clacad.tracing.compiled.records import MOST_ARRAYS
 
@@ -55,7 +55,7 @@ OUTLINES = {"none": NO_OUTLINE, "circle": CIRCLE, "rectangle": RECTANGLE, "plate
 # Columns of the lattice's row.
 HEXAGONAL, PITCH, ROW, N1, N2, X0, Y0, MARGIN, TINY, REACH, BORDERS = range(11)
 NORMAL, HALF = 11, 17
-OPAQUE, BAFFLE, PLAIN, SHIFT = range(20, 24)
+OPAQUE, BAFFLE, PLAIN, LINED, LINE, LINE_ARRAY, SHIFT = range(20, 27)
 
 BETWEEN = SHIFT + 2 * MOST_ARRAYS
 """Displacement of the second array against the first: residual x and y, then whole lattice steps i and j."""
@@ -274,7 +274,8 @@ def lattice_row(layout: Layout) -> Floats:
         for array in range(arrays):
             at = BETWEEN + 4 * (MOST_ARRAYS * of + array)
             row[at : at + 4] = *layout.residual[of, array], *layout.whole_steps[of, array]
-    row[OPAQUE] = float(layout.window.land.opaque)
+    land, row[LINE_ARRAY] = layout.window.land, lined_array(layout.window)
+    row[OPAQUE], row[LINED], row[LINE] = float(land.opaque), land.lined, 0.5 * land.line
     row[PLAIN] = float(not lattice.hexagonal and lattice.outline is None)
     row[BAFFLE] = NO_BAFFLE if layout.window.baffle is None else layout.window.baffle.wall
     return row

@@ -26,6 +26,7 @@ from clacad.tracing.compiled.array_cells import (
     from_own_lens,
     into_array,
     lens_height,
+    on_line,
     to_own_lens,
 )
 from clacad.tracing.compiled.block import (
@@ -452,6 +453,16 @@ def _open_baffle(sheet: Packed, f: int, gone: int, array: int, s: Floats, m: int
 
 
 @exact
+def _off_line(sheet: Packed, f: int, array: int, s: Floats, m: int) -> None:
+    """Leave rays that hit the opaque line of face f, in the cells of an array, to the walk."""
+    vx, vy = sheet.faces[f, slot.VX], sheet.faces[f, slot.VY]
+    for i in range(m):
+        x, y = 1.0 * s[X, i] + vx, 1.0 * s[Y, i] + vy
+        if s[GOOD, i] > 0.0 and on_line(sheet, f, array, 1.0 * s[CI, i], 1.0 * s[CJ, i], x, y):
+            s[GOOD, i] = 0.0
+
+
+@exact
 def _let_through(face: Floats, s: Floats, m: int, n1: float, n2: float) -> None:
     """Multiply SHARE/OVER by the mean of T_s and T_p at an untilted quadric.
 
@@ -720,6 +731,8 @@ def straight(
             if structured:
                 met += 1
                 _stay_inside(sheet, f, s, m, tiles is not None, (vx, vy, vz))
+            if lat[slot.LINED] == f:
+                _off_line(sheet, f, array, s, m)
             _hold_before(sheet, f, gone, array, s, m, ox, oy, carried)
             if len(hits) and not counted:
                 _store_hit(sheet, f, s, array, chosen, hits[f], turns[f])

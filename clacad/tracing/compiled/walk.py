@@ -9,7 +9,7 @@ from clacad.base.types import Floats, Ints
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.array_cells import into_array, lens_at
+from clacad.tracing.compiled.array_cells import into_array, lens_at, on_line
 from clacad.tracing.compiled.cells import ARRIVING, INSIDE, LEAVING, kept, quick_change, reach, sheet_xy
 from clacad.tracing.compiled.column import box_span, first_change, in_footprint
 from clacad.tracing.compiled.face import meet, snell, to_lens, to_sheet, upward
@@ -309,7 +309,7 @@ def _refract(
     w[SURFACE] = 2 * b + side
     if faces[f, slot.ARRAY] >= 0.0 or not on_lens:
         _note_cell(lat, sheet.rows, w, faces[f], on_lens)
-    opaque = not on_lens and lat[slot.OPAQUE] != 0.0
+    opaque = not on_lens and lat[slot.OPAQUE] != 0.0 or on_line(sheet, f, array, w[CI], w[CJ], x, y)
     total = not opaque and not isfinite(ox)
     if not (opaque or total):
         w[DX], w[DY], w[DZ] = ox, oy, oz
@@ -437,7 +437,10 @@ def _end_at(
         w[SURFACE] = 2 * b
     elif kind == BACK or kind == BACK_LAND:
         w[SURFACE] = 2 * b + 1
-    return WALL
+    else:
+        return WALL
+    opaque = on_line(sheet, int(w[SURFACE]), main, event[place], event[place + 1], x, y)
+    return VIGNETTED if opaque else WALL
 
 
 @exact

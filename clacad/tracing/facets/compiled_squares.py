@@ -82,7 +82,7 @@ def suits_squares(grid: Squares, lat: Floats) -> bool:
     for row in grid.table:
         if not row[DOWN_HIGH] < row[UP_LOW]:
             return False
-    return len(grid.plane) > 0 and lat[slot.BAFFLE] == slot.NO_BAFFLE
+    return len(grid.plane) > 0 and lat[slot.BAFFLE] == slot.NO_BAFFLE and lat[slot.LINED] < 0.0
 
 
 @exact

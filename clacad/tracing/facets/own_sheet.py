@@ -16,8 +16,8 @@ from clacad.base.pairs import two_sum
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.window import Window
-from clacad.tracing.layout import BodyPlan, FacePlan, lay_out
-from clacad.tracing.reference.face import in_footprint
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out
+from clacad.tracing.reference.face import in_footprint, on_line
 from clacad.tracing.reference.launch import Beam
 from clacad.tracing.reference.walk import Walkers, note_cell, order_of
 
@@ -45,7 +45,10 @@ def told(
             met = (way.met[2 * b + side] | way.dry[b]) & ~missed
             at = np.where(way.dry[b][:, None], way.tops[b], way.hits[2 * b + side])
             walkers = _noted(window, walkers, face, at, met, ~way.dry[b])
-    return _written(rays, result, walkers, missed, record)
+    found = _written(rays, result, walkers, missed)
+    if window.land.lined >= 0:
+        found = _ended_at_line(lay_out(window), rays, found)
+    return found if record else replace(found, hits=None, directions=None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +124,7 @@ def _noted(
     return replace(walkers, **noted)
 
 
-def _written(rays: Rays, result: TraceResult, walkers: Walkers, missed: Bools, record: bool) -> TraceResult:
+def _written(rays: Rays, result: TraceResult, walkers: Walkers, missed: Bools) -> TraceResult:
     """Rows with their cells; missed rays as launched."""
     order = np.where(missed[:, None], NO_CELL, order_of(walkers)).astype(np.int32)
     through = result.fate <= Fate.GHOST
@@ -139,6 +142,29 @@ def _written(rays: Rays, result: TraceResult, walkers: Walkers, missed: Bools, r
         direction=np.where(back, rays.direction, result.direction),
         surface=np.where(missed, NO_CELL, result.surface).astype(np.int32),
         optical_path=np.where(missed, 0.0, result.optical_path),
-        hits=np.where(back, rays.position, hits) if record else None,
-        directions=np.where(back, rays.direction, turns) if record else None,
+        hits=np.where(back, rays.position, hits),
+        directions=np.where(back, rays.direction, turns),
     )
+
+
+def _ended_at_line(layout: Layout, rays: Rays, found: TraceResult) -> TraceResult:
+    """A recorded trace in which the opaque line of a face ends the rays that hit it."""
+    from clacad.tracing.trace import colours
+
+    number = layout.window.land.lined
+    assert found.hits is not None
+    assert found.directions is not None  # both recorded
+    rows = np.flatnonzero((found.surface >= number) & on_line(layout, found.hits[number, :, :2]))
+    names = ("hits", "directions", "optical_path", "fate", "surface", "position", "direction")
+    changed = {name: getattr(found, name).copy() for name in names}
+    hits, ways = changed["hits"], changed["directions"]
+    before = ways[number - 1] if number else rays.direction
+    hits[number + 1 :, rows], ways[number:, rows] = hits[number, rows], before[rows]
+    for same, media in colours(layout, rays, rows):
+        ends = np.stack([rays.position[same], *hits[: number + 1, same]])
+        changed["optical_path"][same] = np.array(media[: number + 1]) @ np.linalg.norm(
+            np.diff(ends, axis=0), axis=2
+        )
+    changed["fate"][rows], changed["surface"][rows] = Fate.VIGNETTED, number
+    changed["position"][rows], changed["direction"][rows] = hits[number, rows], before[rows]
+    return replace(found, **changed)

@@ -321,6 +321,7 @@ def endless_layout(layout: Layout) -> Layout:
             outline=None,
             thin=replace(window.thin, pitch=None, turn=0.0, change=None, change_1=None),
             cell_laws=None,
+            land=replace(window.land, lined=-1),
         )
     )
     bounded = tuple(

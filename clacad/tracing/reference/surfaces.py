@@ -21,7 +21,7 @@ from clacad.tracing.facets.tiles import TiledFace
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_position
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import launch as honeycomb
-from clacad.tracing.reference.face import height, in_zone, well_inside
+from clacad.tracing.reference.face import height, in_zone, on_line, well_inside
 from clacad.tracing.reference.facets import meet_face
 from clacad.tracing.reference.launch import Beam, launch, on_to, sheet_xy, to_array
 from clacad.tracing.reference.walk import walk
@@ -135,6 +135,8 @@ def in_cell(layout: Layout, media: Sequence[float], beam: Beam, carried: Floats)
         path = path + before + around[1] * lengths[1]
         cells += crossed
         hits += seen
+    if (lined := layout.window.land.lined) >= 0:
+        good &= ~on_line(layout, _sheet(layout, lined // 2, hits[lined])[:, :2])
     return StraightTrace(good, beam, cells, path, hits)
 
 

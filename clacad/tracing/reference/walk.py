@@ -19,7 +19,7 @@ from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_posi
 from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, Ledger, RayColumns
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import Event
-from clacad.tracing.reference.face import Hit, cross, cross_at, cross_land, in_footprint
+from clacad.tracing.reference.face import Hit, cross, cross_at, cross_land, in_footprint, on_line
 from clacad.tracing.reference.facets import change
 from clacad.tracing.reference.launch import Beam, box_span, on_to, sheet_xy, to_array
 
@@ -83,6 +83,11 @@ class BodyWalk:
     def joined_behind(self) -> bool:
         """Whether the next body is joined to this one."""
         return self.number + 1 < len(self.layout.bodies) and self.layout.bodies[self.number + 1].joined
+
+    def stops(self, surface: Ints, position: Floats) -> Bools:
+        """Which points (m, 3) of surfaces (m,) lie on an opaque line."""
+        line = surface == self.layout.window.land.lined
+        return line & on_line(self.layout, position[:, :2]) if line.any() else line
 
     def sheet(self, array: int, cell: Ints, local: Floats, z: Floats) -> Floats:
         """Sheet-frame points (m, 3)."""
@@ -184,7 +189,7 @@ def _refract(here: BodyWalk, walkers: Walkers, event: Event, rows: Rows, side: i
     )
     if face.array is not None or not on_lens.all():
         walkers = note_cell(here.layout, walkers, face, on_lens)
-    opaque = ~on_lens & here.layout.window.land.opaque
+    opaque = ~on_lens & here.layout.window.land.opaque | here.stops(walkers.surface, walkers.position)
     total = ~opaque & ~np.isfinite(out[:, 0])
     after = np.where((opaque | total)[:, None], beam.direction, out)
     here.ledger.record(2 * here.number + side, beam.rows, walkers.position, after)
@@ -357,7 +362,10 @@ def _end_at(here: BodyWalk, walkers: Walkers, event: Event, index: float) -> Non
     position = here.sheet(array, event.cells[array], local, z)
     walkers = replace(walkers, position=position, path=walkers.path + index * event.distance)
     _record_end(here, walkers)
-    _end(here, replace(walkers, surface=wrong), Fate.WALL)
+    line = (event.kind <= BACK_LAND) & here.stops(wrong, position)
+    walkers = replace(walkers, surface=wrong)
+    _end(here, walkers.take(line), Fate.VIGNETTED)
+    _end(here, walkers.take(~line), Fate.WALL)
 
 
 def _end(here: BodyWalk, walkers: Walkers, fate: Fate) -> None:
