@@ -6,16 +6,18 @@ with the size of the sheet or its distance from the origin.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import cos, isfinite, nan, pi
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from clacad.base.types import Bools, Floats, Ints
+from clacad.base.types import Bools, Floats, Ints, Rows
+from clacad.optics.rays import Rays
 from clacad.optics.surface import sharpest_bend
 from clacad.sheet.cell_places import DIRECTIONS, CellPlacement, LensPlaces, VertexChange
-from clacad.sheet.face_order import outline_centre
+from clacad.sheet.face_order import media_of, outline_centre
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
 from clacad.sheet.pattern import relocate, turned
 from clacad.sheet.plate import Plate
@@ -28,9 +30,6 @@ from clacad.sheet.window import (
     in_optical_tile,
     lens_height_and_normal,
 )
-
-if TYPE_CHECKING:
-    pass
 
 SAMPLES = 49
 """Points a side at which a face's height is sampled for its bounds; slope times half a spacing is added."""
@@ -461,3 +460,23 @@ def _inside_cells(lattice: Lattice, place: CellPlacement, box: Box) -> tuple[flo
         width, height = half_sizes(lattice.outline)
         return scale * width - 2.0 * lost, scale * height - 2.0 * lost, np.inf
     return half_x - lost, half_y - lost, np.inf
+
+
+def colours(layout: Layout, rays: Rays, rows: Rows) -> Iterator[tuple[Rows, tuple[float, ...]]]:
+    """Rows (k,) of rays of one wavelength at a time, with the media around the faces at it
+    (`Window.media`).
+    """
+    window = layout.window
+    if rays.wavelength is None:
+        yield rows, media_of(window.bodies)
+        return
+    each = rays.wavelength[rows]
+    if len(each) and bool((each == each[0]).all()):  # pictures are traced line by line: nothing to sort
+        yield rows, media_of(window.bodies, float(each[0]))
+        return
+    waves, which = np.unique(each, return_inverse=True)
+    order = np.argsort(which, kind="stable")
+    bounds = np.searchsorted(which[order], np.arange(len(waves) + 1))
+    for k, wave in enumerate(waves):
+        chosen = rows[order[bounds[k] : bounds[k + 1]]]
+        yield chosen, media_of(window.bodies, float(wave))

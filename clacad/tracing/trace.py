@@ -22,7 +22,7 @@ from clacad.sheet.face_order import media_of
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Window
 from clacad.tracing.facets.tiles import Tiles
-from clacad.tracing.layout import Layout, lay_out
+from clacad.tracing.layout import Layout, colours, lay_out
 from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.launch import trace_law
 from clacad.tracing.which_path import (
@@ -284,26 +284,6 @@ def common_line(rays: Rays) -> float | Literal[False] | None:
     if len(waves) == 0 or not 0.0 < waves[0] < np.inf or bool((waves != waves[0]).any()):
         return False
     return float(waves[0])
-
-
-def colours(layout: Layout, rays: Rays, rows: Rows) -> Iterator[tuple[Rows, tuple[float, ...]]]:
-    """Rows (k,) of rays of one wavelength at a time, with the media around the faces at it
-    (`Window.media`).
-    """
-    window = layout.window
-    if rays.wavelength is None:
-        yield rows, media_of(window.bodies)
-        return
-    each = rays.wavelength[rows]
-    if len(each) and bool((each == each[0]).all()):  # pictures are traced line by line: nothing to sort
-        yield rows, media_of(window.bodies, float(each[0]))
-        return
-    waves, which = np.unique(each, return_inverse=True)
-    order = np.argsort(which, kind="stable")
-    bounds = np.searchsorted(which[order], np.arange(len(waves) + 1))
-    for k, wave in enumerate(waves):
-        chosen = rows[order[bounds[k] : bounds[k + 1]]]
-        yield chosen, media_of(window.bodies, float(wave))
 
 
 def trace(

@@ -173,7 +173,7 @@ def test_the_compiled_kernel_ends_the_same_rays_at_the_line(kind, face, field):
 
 
 def test_a_reflected_path_ends_at_the_line_too():
-    """Compiled split paths lose what comes back through the line: none of them leaves there."""
+    """Compiled split paths lose the light that meets the line on its way: none of them leaves there."""
     window, plain = prescribe(design(1)), prescribe(design(None))
     rays = lit(window, 0.0, 1 << 10)
     back = [

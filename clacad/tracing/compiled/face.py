@@ -8,8 +8,8 @@ from __future__ import annotations
 from math import copysign, inf, isfinite, nan, sqrt
 from typing import NamedTuple
 
-from clacad.base.compiled import exact, pair_product, pair_sum, two_product
-from clacad.base.types import Floats
+from clacad.base.compiled import entry, exact, pair_product, pair_sum, two_product
+from clacad.base.types import Floats, Ints
 from clacad.optics.surface import ULP
 from clacad.optics.surface.roots import CANCELS, FLAT, NEWTON_STEPS, POLISHES, SETTLED, STEEPEST
 from clacad.tracing.compiled import packing as slot
@@ -385,3 +385,49 @@ def upward(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float
     twist = side * skew * x * y / ((1.0 + w) * (1.0 + w))
     gap = _biconic_gap(faces, row, x, y, z)
     return -side * cx * x - twist * y, -side * cy * y + twist * x, w, gap * w
+
+
+class Cells(NamedTuple):
+    """Sequences of single faces that differ by their places alone, without the cells around them.
+
+    faces : (f, FACE_NUMBERS), media : (f, 2). Numbers of each face, and the indices before and behind it.
+    vertices : (f, m, 3) lengths. Of each sequence.
+    turns : (f, 3, 3), homes : (f, m, 3). A hit is noted as turnᵀ (hit − home).
+    """
+
+    faces: Floats
+    media: Floats
+    vertices: Floats
+    turns: Floats
+    homes: Floats
+
+
+@entry
+def through_faces(cells: Cells, which: Ints, start: Floats, ray: Floats, hits: Floats) -> None:
+    """Trace rays through single faces in the given order, as `optics.sequence`; `ray` becomes NaN where one ends.
+
+    which : (n,). The sequence of each ray.
+    start, ray : (n, 3). Unit directions, changed to those behind the last face.
+    hits : (f, n, 3). Receives the points.
+    """
+    faces, vertices, turns, homes = cells.faces, cells.vertices, cells.turns, cells.homes
+    for i in range(len(start)):
+        k, nothing = which[i], False
+        L, M, N = ray[i, 0], ray[i, 1], ray[i, 2]
+        x, y, z = start[i, 0], start[i, 1], start[i, 2]
+        bx, by, bz = 0.0, 0.0, 0.0
+        for f in range(len(faces)):
+            vx, vy, vz = vertices[f, k, 0], vertices[f, k, 1], vertices[f, k, 2]
+            sx, sy, sz = to_lens(faces, f, x + (bx - vx), y + (by - vy), z + (bz - vz))
+            u, v, w = to_lens(faces, f, L, M, N)
+            t, px, py, pz, gx, gy, gz, root = meet(faces, f, sx, sy, sz, u, v, w)
+            nothing = nothing or not t >= -8.0 * ULP * (max(abs(sx), abs(sy), abs(sz)) + abs(t))
+            u, v, w = snell((u, v, w), (gx, gy, gz), root, cells.media[f, 0], cells.media[f, 1])
+            x, y, z = to_sheet(faces, f, px, py, pz)
+            L, M, N = to_sheet(faces, f, u, v, w)
+            bx, by, bz = vx, vy, vz
+            a, b, c = x + (vx - homes[f, k, 0]), y + (vy - homes[f, k, 1]), z + (vz - homes[f, k, 2])
+            for n in range(3):
+                hits[f, i, n] = turns[f, 0, n] * a + turns[f, 1, n] * b + turns[f, 2, n] * c
+        ends = nothing or not N > 0.0
+        ray[i, 0], ray[i, 1], ray[i, 2] = nan if ends else L, nan if ends else M, nan if ends else N

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from clacad.base.types import Floats, Ints
-from clacad.optics.surface.sag_and_normal import EvenPolynomial, Quadric
+from clacad.optics.surface.sag_and_normal import EvenPolynomial, Quadric, Surface
 from clacad.sheet.cell_places import VertexChange
 from clacad.sheet.edge_columns import EDGE_NUMBERS
 from clacad.sheet.face_order import lined_array, media_of
@@ -213,9 +213,9 @@ def in_single(sheet: Packed) -> Packed:
     return sheet._replace(**rounded)
 
 
-def _face(face: FacePlan) -> list[float]:
+def surface_row(surface: Surface, rotation: Floats | None) -> list[float]:
+    """Row of a face with the numbers of its surface and its rotation alone."""
     row = [0.0] * FACE_NUMBERS
-    surface = face.surface
     row[CX], row[CY], row[SIDE] = surface.curvature_x, surface.curvature_y, float(surface.side)
     if isinstance(surface, Quadric):
         row[KX] = surface.kappa
@@ -224,9 +224,14 @@ def _face(face: FacePlan) -> list[float]:
     if isinstance(surface, EvenPolynomial):
         row[BICONIC] = POLYNOMIAL
         row[A40 : A08 + 1] = (*surface.a4, *surface.a6, *surface.a8)
+    row[TURNED] = float(rotation is not None)
+    row[R0 : R0 + 9] = (np.eye(3) if rotation is None else rotation).ravel().tolist()
+    return row
+
+
+def _face(face: FacePlan) -> list[float]:
+    row = surface_row(face.surface, face.rotation)
     row[VX : VZ + 1] = face.vertex
-    row[TURNED] = float(face.rotation is not None)
-    row[R0 : R0 + 9] = (np.eye(3) if face.rotation is None else face.rotation).ravel().tolist()
     row[ARRAY] = -1.0 if face.array is None else float(face.array)
     row[LAND], row[LOW], row[HIGH] = face.land, face.low, face.high
     row[CLIMB] = face.slope / sqrt(1.0 + face.slope * face.slope)  # least N of a ray steeper than the face

@@ -16,7 +16,7 @@ from clacad.base.pairs import two_sum
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.window import Window
-from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out
+from clacad.tracing.layout import BodyPlan, FacePlan, Layout, colours, lay_out
 from clacad.tracing.reference.face import in_footprint, on_line
 from clacad.tracing.reference.launch import Beam
 from clacad.tracing.reference.walk import Walkers, note_cell, order_of
@@ -149,8 +149,6 @@ def _written(rays: Rays, result: TraceResult, walkers: Walkers, missed: Bools) -
 
 def _ended_at_line(layout: Layout, rays: Rays, found: TraceResult) -> TraceResult:
     """A recorded trace in which the opaque line of a face ends the rays that hit it."""
-    from clacad.tracing.trace import colours
-
     number = layout.window.land.lined
     assert found.hits is not None
     assert found.directions is not None  # both recorded

@@ -87,7 +87,7 @@ class BodyWalk:
     def stops(self, surface: Ints, position: Floats) -> Bools:
         """Which points (m, 3) of surfaces (m,) lie on an opaque line."""
         line = surface == self.layout.window.land.lined
-        return line & on_line(self.layout, position[:, :2]) if line.any() else line
+        return np.asarray(line & on_line(self.layout, position[:, :2]) if line.any() else line)
 
     def sheet(self, array: int, cell: Ints, local: Floats, z: Floats) -> Floats:
         """Sheet-frame points (m, 3)."""

@@ -32,19 +32,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import hypot
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.types import Floats
+from clacad.base.types import Bools, Floats
 from clacad.design.sections import KELVIN
 from clacad.effects.scatter import haze
 from clacad.light.compare import WhiteLight, changed
-from clacad.light.measure import FIT_SCALE, Light, Send, measure, measure_each
-from clacad.optics.law import Law, difference_of_laws
+from clacad.light.measure import FIT_SCALE, Light, Send, fitted_law, measure, measure_each, rms_angles
+from clacad.optics.law import Law, angle_between, difference_of_laws
 from clacad.optics.rays import Rays, TraceResult
-from clacad.optics.sequence import STEP
+from clacad.optics.sequence import STEP, unit_directions
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, field_about, middle_direction
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.like_cell import heated, lit_by
@@ -116,6 +117,65 @@ def measures_of(design: Design) -> dict[str, str]:
 
 
 @dataclass(frozen=True, eq=False)
+class CellLight:
+    """Light of one bundle through m cells, each number as `clacad.light.measure.Light` has it.
+
+    alive : (m, n) bool; direction : (m, n, 3). Behind the sheet, without the requested focus.
+    into, expected : (n, 3). Before the sheet, and behind it by the law.
+    fewest : Least number of ALIVE rays for a result other than NaN.
+    """
+
+    alive: Bools
+    direction: Floats
+    into: Floats
+    expected: Floats
+    fewest: int
+
+    @property
+    def share(self) -> Floats:
+        """ALIVE rays over all, (m,)."""
+        return np.asarray(self.alive.mean(axis=1))
+
+    @property
+    def rms(self) -> Floats:
+        """Rms angles (m,) to the law."""
+        return self._rms(np.broadcast_to(self.expected, self.direction.shape))
+
+    @cached_property
+    def mean(self) -> Floats:
+        """Mean exit directions (m, 3); NaN for too few rays."""
+        count = self.alive.sum(axis=1)
+        total = np.where(self.alive[..., None], self.direction, 0.0).sum(axis=1)
+        return np.asarray(total / np.where(count < self.fewest, np.nan, count)[:, None])
+
+    @property
+    def bias(self) -> Floats:
+        """Angles (m,) of the mean directions of parallel light to the law."""
+        return angle_between(self.mean, self.expected[0])
+
+    @property
+    def spread(self) -> Floats:
+        """Rms angles (m,) to the mean directions."""
+        return self._rms(np.broadcast_to(self.mean[:, None], self.direction.shape))
+
+    def _rms(self, to: Floats) -> Floats:
+        angle = np.full(self.alive.shape, np.nan)
+        angle[self.alive] = angle_between(self.direction[self.alive], to[self.alive])
+        few = np.isfinite(angle).sum(axis=1) < self.fewest
+        return np.where(few, np.nan, rms_angles(angle))
+
+    def fitted(self, law: Law) -> Law | None:
+        """Law of the light of the first cell in the axes of another; None for too few rays."""
+        on = self.alive[0]
+        return None if on.sum() < self.fewest else fitted_law(self.into[on], self.direction[0, on], law)
+
+
+def _aside(errors: Errors) -> Floats:
+    """Displacement (3,) of cell 1 as made: the light covers the whole sheet, so that it follows."""
+    return np.array([errors.get("decentre.1.x", 0.0), errors.get("decentre.1.y", 0.0), 0.0])
+
+
+@dataclass(frozen=True, eq=False)
 class Bench:
     """A design's window with the rays and reference values that all samples share.
 
@@ -147,43 +207,74 @@ class Bench:
     wavelength: float
     lines: Mapping[float, float] = field(default_factory=dict)
     kelvin: float = 0.0
+    _sent: dict[tuple[tuple[str, int], ...], tuple[Floats, ...]] = field(
+        init=False, default_factory=dict, repr=False
+    )
     _known: dict[tuple[str, float], Floats] = field(init=False, default_factory=dict, repr=False)
     _shares: dict[tuple[tuple[str, float], ...], float] = field(init=False, default_factory=dict, repr=False)
 
     def measured(self, errors: Errors) -> dict[str, float]:
         """All measures of the sheet made with these errors; NaN where too little light is transmitted."""
         errors, scatter = split(errors)
-        found = self._chief_measures(errors)
-        spread, share_, rms, bias = [], [], [], []
-        stated: list[dict[str, float]] = []
+        step = np.array(self.window.lattice.pitch) * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+        beams = [name for name in self.bundles if name.startswith("beam")]
+        asked = {name: self.places for name in ("cone", *beams)}
+        seen = self.cells(errors, asked | {"narrow": self.places[:1], "chief": step})
+        found = self._chief_measures(self._slopes(seen["chief"]))
+        found |= self._fitted(seen["narrow"].fitted(self.law.law))
+        if self.lines or self.kelvin:
+            stated = [self._stated(errors, place) for place in self.places]
+            found |= {name: _worst([one[name] for one in stated]) for name in stated[0]}
         clear = 1.0 - self._haze(errors)
-        for number, place in enumerate(self.places):
-            light = self.light(errors, place)
-            spread.append(light["beam"].spread)
-            share_.append(light["cone"].share * clear)
-            rms.append(light["cone"].rms)
-            bias.append(_worst([one.bias for name, one in light.items() if name.startswith("beam")]))
-            stated.append(self._stated(errors, place, light["cone"]))
-            if number == 0:
-                found |= self._fitted(light["narrow"].fitted)
         added = self.scattered(scatter)
-        spread, rms = (
-            _with_squares(values, added[name]) for name, values in (("blur", spread), ("law_rms", rms))
-        )
-        kept = min(share_) + clear * added["throughput"]
+        rms = _with_squares(seen["cone"].rms.tolist(), added["law_rms"])
+        kept = float(seen["cone"].share.min()) * clear + clear * added["throughput"]
         x, y = self.window.unit * self.places[_first_worst(rms)]
-        found |= {name: _worst([one[name] for one in stated]) for name in stated[0]}
         if "law_white" in found:
             found["law_white"] = _with_squares([found["law_white"]], added["law_rms"])[0]
         return found | {
-            "blur": _worst(spread),
+            "blur": _worst(_with_squares(seen["beam"].spread.tolist(), added["blur"])),
             "throughput": kept,
             "law_rms": _worst(rms),
-            "law_bias": _worst(bias),
+            "law_bias": _worst([float(np.max(seen[name].bias)) for name in beams]),
             "kept": kept / self.closed_form if self.closed_form > 0.0 else np.nan,
             "law_rms_x": float(x),
             "law_rms_y": float(y),
         }
+
+    def law_rms(self, errors: Errors) -> float:
+        """The measure of that name alone."""
+        errors, scatter = split(errors)
+        rms = self.cells(errors, {"cone": self.places})["cone"].rms.tolist()
+        return _worst(_with_squares(rms, self.scattered(scatter)["law_rms"]))
+
+    @cached_property
+    def expected(self) -> dict[str, Floats]:
+        """Exit directions (n, 3) of the law for each bundle."""
+        return {name: self.law.refract(one.rays.direction) for name, one in self.bundles.items()}
+
+    def cells(self, errors: Errors, asked: Mapping[str, Floats]) -> dict[str, CellLight]:
+        """Light of bundles through the cells of a sheet with these errors at their places (m, 2), in one trace."""
+        key = tuple((name, len(places)) for name, places in asked.items())
+        if key not in self._sent:
+            lit = [(self.bundles[name], m) for name, m in key]
+            firsts = np.cumsum([0] + [m for _, m in key])
+            which = [np.repeat(np.arange(m), len(b.rays)) + at for (b, m), at in zip(lit, firsts)]
+            columns = ((b.rays.position, unit_directions(b.rays.direction)[0], b.points) for b, _ in lit)
+            tiled = ([np.tile(one, (m, 1)) for one in three] for three, (_, m) in zip(columns, key))
+            self._sent[key] = (*map(np.concatenate, zip(*tiled)), np.concatenate(which))
+        start, way, points, cells = self._sent[key]
+        made = telescopelet(self.window, errors, np.concatenate(list(asked.values())))
+        seen, alive = made.through(start + _aside(errors), way, cells)
+        out = self.law.without_focus(points, seen)
+        found, at = {}, 0
+        for name, m in key:
+            into, wished = self.bundles[name].rays.direction, self.expected[name]
+            n, few = len(into), FEWEST_BY_BUNDLE.get(name, FEWEST_OF_BEAM)
+            part = slice(at, at + m * n)
+            found[name] = CellLight(alive[part].reshape(m, n), out[part].reshape(m, n, 3), into, wished, few)
+            at += m * n
+        return found
 
     def scattered(self, scatter: Errors) -> dict[str, float]:
         """Changes of mean squares of law_rms and blur, and of throughput, by errors of each lenslet."""
@@ -228,9 +319,10 @@ class Bench:
             for name, one in zip(self.bundles, seen, strict=True)
         }
 
-    def _stated(self, errors: Errors, place: Floats, cone: Light) -> dict[str, float]:
-        """Measures of white light and temperature of one cell, from its light at the design's wavelength."""
+    def _stated(self, errors: Errors, place: Floats) -> dict[str, float]:
+        """Measures of white light and temperature of one cell, against its light at the design's wavelength."""
         found: dict[str, float] = {}
+        cone = self.light(errors, place)["cone"]
         if self.lines:
             light = measure(self._sender(errors, place), cone.lit, self.law, self.lines, fewest=cone.fewest)
             white = WhiteLight(cone, light, self.lines)
@@ -247,7 +339,7 @@ class Bench:
         """Sender through one cell, over cell 1 at its actual position: the light covers the whole sheet."""
         sheet = self.window if window is None else window
         cell = telescopelet(sheet, errors, place)
-        aside = np.array([errors.get("decentre.1.x", 0.0), errors.get("decentre.1.y", 0.0), 0.0])
+        aside = _aside(errors)
 
         def send(lit: Bundle) -> TraceResult:
             line = lit.rays.wavelength
@@ -267,24 +359,17 @@ class Bench:
         off = difference_of_laws(law, self.law.law)
         return dict(zip(names, (law.eta_x, law.eta_y, law.delta_x, law.delta_y, *off), strict=True))
 
-    def _chief_measures(self, errors: Errors) -> dict[str, float]:
-        """Image shift, slip and power, computed from the chief ray and its neighbours."""
+    def _chief_measures(self, slopes: Floats) -> dict[str, float]:
+        """Image shift, slip and power, from the slopes (5, 5, 2) of the chief rays of a cell and its neighbours."""
         window, unit = self.window, self.window.unit
-        here = self.chief_slopes(errors)
+        here = slopes[0]
         shift = here[0] - self.chief
         size = STEP * window.lattice.circumradius
         power = -np.stack([here[1] - here[2], here[3] - here[4]], axis=1) / (2.0 * size * unit)
         if self.law.power is not None:
             power = power - np.diag(self.law.power) / unit
         step = np.array(window.lattice.pitch)
-        across = np.stack(
-            [
-                (self.chief_slopes(errors, step * e)[0] - self.chief_slopes(errors, -step * e)[0])
-                / (2.0 * step[k])
-                for k, e in enumerate(np.eye(2))
-            ],
-            axis=1,
-        )
+        across = ((slopes[1::2, 0] - slopes[2::2, 0]) / (2.0 * step)[:, None]).T
         slip = np.full((2, 2), np.nan)
         if np.isfinite(self.per_decentre).all():  # a meridian without power cannot slip
             slip = np.linalg.pinv(self.per_decentre, rcond=1e-9) @ across
@@ -301,11 +386,14 @@ class Bench:
             "moire_period": min(window.lattice.pitch) * unit / rate if rate > 1e-12 else np.inf,
         }
 
-    def chief_slopes(self, errors: Errors, place: Floats | None = None) -> Floats:
-        """Exit slopes (5, 2), lens frame, of the chief ray and its parabasal rays; NaN for a lost ray."""
-        out = self._sender(errors, place)(self.bundles["chief"]).direction
-        turned = out @ self.window.thin.rotation
-        return np.asarray(turned[:, :2] / turned[:, 2:])
+    def chief_slopes(self, errors: Errors) -> Floats:
+        """Exit slopes (2,), lens frame, of the chief ray of the middle; NaN for a lost ray."""
+        return self._slopes(self.cells(errors, {"chief": np.zeros((1, 2))})["chief"])[0, 0]
+
+    def _slopes(self, chief: CellLight) -> Floats:
+        """Exit slopes (m, 5, 2), lens frame, of the chief rays of m cells and their parabasal rays."""
+        turned = chief.direction @ self.window.thin.rotation
+        return np.asarray(turned[..., :2] / turned[..., 2:])
 
 
 def bench(
@@ -339,7 +427,7 @@ def bench(
         design.light.lines if "law_white" in measures_of(design) else {},
         (design.light.temperature or KELVIN) if "temperature" in measures_of(design) else 0.0,
     )
-    return replace(blank, chief=blank.chief_slopes({})[0], per_decentre=_per_decentre(blank))
+    return replace(blank, chief=blank.chief_slopes({}), per_decentre=_per_decentre(blank))
 
 
 def sloped(slopes: tuple[float, float]) -> Floats:
@@ -369,7 +457,7 @@ def _bundles(window: Window, spec: CheckSpec, rays: int, incident: Floats | None
 def _per_decentre(table: Bench) -> Floats:
     """Change (2, 2) of the chief ray's exit slopes with the decentre of array 2, 1/length."""
     step = 1e-4 * min(table.window.lattice.pitch)
-    ways = [[table.chief_slopes({f"decentre.2.{a}": way * step})[0] for way in (1.0, -1.0)] for a in "xy"]
+    ways = [[table.chief_slopes({f"decentre.2.{a}": way * step}) for way in (1.0, -1.0)] for a in "xy"]
     return np.stack([(up - down) / (2.0 * step) for up, down in ways], axis=1)
 
 

@@ -21,15 +21,16 @@ from zlib import crc32
 
 import numpy as np
 
-from clacad.base.types import Floats
+from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.rays import Fate, Rays, TraceResult
-from clacad.optics.sequence import Interface, trace_sequence
+from clacad.optics.sequence import Interface, unit_directions
 from clacad.optics.surface import Surface, resized
-from clacad.sheet.face_order import plates_of, refractions
+from clacad.sheet.face_order import lined_face, plates_of, refractions
 from clacad.sheet.feasibility import thicker
 from clacad.sheet.plate import Plate
 from clacad.sheet.shrunk import grown_surface
 from clacad.sheet.window import Body, Face, Window, in_optical_tile
+from clacad.tracing.ledger import Ledger
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -50,26 +51,29 @@ class Motion:
         """Displacement (…, 3) of points (…, 3)."""
         return np.asarray((point - self.pivot) @ (self.turn - np.eye(3)).T + self.shift)
 
-    def undone(self, point: Floats) -> Floats:
-        """Positions (…, 3) of moved points (…, 3) before the motion."""
-        return np.asarray((point - self.shift - self.pivot) @ self.turn + self.pivot)
+    def home(self, point: Floats) -> Floats:
+        """Positions (…, 3) of points (…, 3) after the motion."""
+        return np.asarray((point - self.pivot) @ self.turn.T + self.pivot + self.shift)
 
 
 @dataclass(frozen=True, eq=False)
 class Telescopelet:
-    """Faces of one telescopelet as made, relative to the nominal centre of its cell 1.
+    """Faces of one telescopelet as made, or of several that differ by their places in the sheet alone.
 
     window : The window as made (radii, indices, thicknesses); gives the cells.
     faces : list of (Face, array, Motion)
         For each interface: the design's face, the array it moves with, and the motion of that array.
-    centre : (2,) lengths. Nominal centre of cell 1 in the sheet.
+    seq : list of Interface. Of the first telescopelet, relative to the nominal centre of its cell 1.
+    vertices : (f, m, 3) lengths. Vertices of all telescopelets, relative to those centres.
+    centres : (m, 2) lengths. Nominal centres of their cells 1 in the sheet.
     noses : Errors `NOSES`: a tool nose rounds seams, and light through them is not of this telescopelet.
     """
 
     window: Window
     seq: list[Interface]
     faces: list[tuple[Face, int, Motion]]
-    centre: Floats
+    vertices: Floats
+    centres: Floats
     noses: Errors = field(default_factory=dict)
 
     def send(self, rays: Rays) -> TraceResult:
@@ -77,38 +81,61 @@ class Telescopelet:
         WALL.
 
         Directions are NaN where a ray ended on the way. A ray counts if it hits every lens face in the
-        optical zone of this cell, where the lens is not buried in land, and leaves forwards.
+        optical zone of this cell, where the lens is not buried in land and has no opaque line, and leaves
+        forwards.
         """
-        result = trace_sequence(self.seq, rays, record=True)
-        through = result.fate == Fate.ALIVE
-        good = through.copy()
-        assert result.hits is not None  # recorded
+        ledger = Ledger.blank(len(rays), 0)
+        ledger.direction[:], good = self.through(
+            rays.position, unit_directions(rays.direction)[0], np.zeros(len(rays), dtype=np.int64)
+        )
+        ledger.fate[:] = np.where(good, Fate.ALIVE, Fate.WALL)
+        return ledger.closed()
+
+    def through(self, start: Floats, ray: Floats, which: Ints) -> tuple[Floats, Bools]:
+        """Directions (n, 3) behind the sheet, NaN where a ray ended, and which rays stay in their telescopelet.
+
+        which : (n,). The telescopelet of each ray.
+        """
+        from clacad.tracing.compiled.face import Cells, through_faces
+        from clacad.tracing.compiled.packing import surface_row
+
+        place, shifts = np.pad(self.centres, ((0, 0), (0, 1))), np.pad(self.window.shifts, ((0, 0), (0, 1)))
+        cells = Cells(
+            np.array([surface_row(one.surface, one.rotation) for one in self.seq]),
+            np.array([[one.index_before, one.index_after] for one in self.seq]),
+            self.vertices,
+            np.array([motion.turn for _, _, motion in self.faces]),
+            np.array([motion.home(place + shifts[array]) - place for _, array, motion in self.faces]),
+        )
+        out, hits = np.array(ray), np.empty((len(self.seq), *ray.shape))
+        through_faces(cells, which, start, out, hits)
+        return out, np.isfinite(out[:, 0]) & self._inside(hits)
+
+    def _inside(self, hits: Floats) -> Bools:
+        """Which rays (n,) hit every lens face in the optical zone of their cell; hits (f, n, 3), cell frames."""
         from clacad.design.process import Process
         from clacad.making.made_surface import MadeSurface
 
-        unit = self.window.unit
-        processes = [Process(NOSES[name], radius * unit) for name, radius in self.noses.items()]
-        for hits, (face, array, motion) in zip(result.hits, self.faces, strict=True):
+        window, lined = self.window, lined_face(self.window)
+        lenses = [k for k, (face, _, _) in enumerate(self.faces) if face.array is not None]
+        good = in_optical_tile(window, hits[lenses, :, 0], hits[lenses, :, 1]).all(axis=0)
+        processes = [Process(NOSES[name], radius * window.unit) for name, radius in self.noses.items()]
+        for (x, y, z), (face, _, _) in zip(hits.transpose(0, 2, 1), self.faces, strict=True):
+            if face is lined:
+                lines = replace(window, land=replace(window.land, seam=window.land.line))
+                good &= in_optical_tile(lines, x, y)
             if face.array is None:
                 continue
-            place = np.array([*self.centre, 0.0])
-            before = motion.undone(hits + place) - place
-            x, y = (before[:, :2] - self.window.shifts[array]).T
-            good &= in_optical_tile(self.window, x, y)
             for process in processes:
-                good &= ~MadeSurface(self.window, face, process).rounded(x, y)
+                good &= ~MadeSurface(window, face, process).rounded(x, y)
             if face.land is not None:
-                good &= face.land_side * (face.land - before[:, 2]) >= 0.0
-        return replace(
-            result,
-            direction=np.where(through[:, None], result.direction, np.nan),
-            fate=np.where(through & ~good, np.uint8(Fate.WALL), result.fate),
-        )
+                good &= face.land_side * (face.land - z) >= 0.0
+        return np.asarray(good)
 
 
 def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -> Telescopelet:
     """Build the faces of the telescopelet whose cell 1 is centred at `centre` (2,), default the sheet's
-    middle.
+    middle; of several for centres (m, 2).
 
     Parameters
     ----------
@@ -118,9 +145,9 @@ def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -
         Parameter name (`clacad.verification.tolerance.misaligned`) to error, in design units, radians or as a
         ratio; parameters without an entry have no error.
     """
-    at = np.zeros(2) if centre is None else np.asarray(centre, dtype=np.float64)
+    at = np.zeros((1, 2)) if centre is None else np.array(centre, dtype=np.float64, ndmin=2)
     made = as_made(window, errors)
-    seq, faces = [], []
+    seq, faces, vertices = [], [], []
     plates = plates_of(made.bodies)
     between = [_between(made, errors, number) for number in range(1, max(2, len(plates) - 1))]
     motions = (_first(errors), _second(made, errors), *between)
@@ -130,13 +157,14 @@ def telescopelet(window: Window, errors: Errors, centre: Floats | None = None) -
         vertex = np.asarray(face.vertex) + [*made.shifts[array], 0.0]
         number = plate_of[made.bodies.index(body)]
         motion = motions[array if len(plates) == 1 else _moves_with(number, len(plates))]
-        moved = vertex + motion.moves(vertex + [*at, 0.0])
+        moved = vertex + motion.moves(vertex + np.pad(at, ((0, 0), (0, 1))))
         turn = motion.turn @ face.rotation
         plain = np.array_equal(turn, np.eye(3))
-        seq.append(Interface(face.surface, moved, before, after, None if plain else turn))
+        seq.append(Interface(face.surface, moved[0], before, after, None if plain else turn))
         faces.append((face, array, motion))
+        vertices.append(moved)
     noses = {name: errors[name] for name in NOSES if name in errors}
-    return Telescopelet(_baffled(made), seq, faces, at, noses)
+    return Telescopelet(_baffled(made), seq, faces, np.array(vertices), at, noses)
 
 
 def _moves_with(number: int, plates: int) -> int:

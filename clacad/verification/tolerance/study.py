@@ -305,7 +305,7 @@ def adjusted(table: Bench, errors: Mapping[str, float], name: str, step: float) 
 
     def square(value: float) -> float:
         if value not in tried:
-            tried[value] = table.measured({**errors, name: value})["law_rms"] ** 2
+            tried[value] = table.law_rms({**errors, name: value}) ** 2
         return tried[value]
 
     at = errors.get(name, 0.0)
