@@ -5,14 +5,16 @@ from __future__ import annotations
 import tomllib
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from clacad import prescribe, tolerance
+from clacad import prescribe, tolerance, trace_sequence
 from clacad.base.types import silent
 from clacad.design import Design, template
+from clacad.optics.rays import Fate
 from clacad.verification.tolerance.farm import Farm
 from clacad.verification.tolerance.light_measures import bench
-from clacad.verification.tolerance.misaligned import as_made, parameters
+from clacad.verification.tolerance.misaligned import as_made, parameters, telescopelet
 from clacad.verification.tolerance.study import NoTolerances
 
 
@@ -52,6 +54,35 @@ def test_a_wrong_gap_is_that_of_a_design_with_its_faces_farther_back(design):
     made = as_made(window, {"gap.1": 0.002})
     for one, two in zip(made.faces, farther.faces, strict=True):
         assert one.vertex == pytest.approx(two.vertex, abs=1e-12)
+
+
+def test_light_through_cells_as_made_is_that_of_the_single_surfaces_in_turn(design):
+    """Reference: the trace of one sequence of surfaces in numpy."""
+    window = prescribe(design)
+    errors = {"tilt.3.x": 4e-3, "decentre.2.y": 2e-3, "gap.1": 3e-3, "rotation": 1e-3}
+    places = np.array([[0.0, 0.0], [2.75, -2.75]])
+    lit = bench(design, window, rays=64).bundles["cone"].rays
+    which = np.repeat([0, 1], len(lit))
+    start, way = (np.tile(one, (2, 1)) for one in (lit.position, lit.direction))
+    found, good = telescopelet(window, errors, places).through(start, way, which)
+    for number, place in enumerate(places):
+        one = telescopelet(window, errors, place)
+        free = trace_sequence(one.seq, lit)
+        alive = free.fate == Fate.ALIVE
+        mine = found[which == number]
+        assert np.array_equal(np.isfinite(mine[:, 0]), alive)
+        assert mine[alive] == pytest.approx(free.direction[alive], abs=1e-13)
+        assert np.array_equal(good[which == number], one.send(lit).fate == Fate.ALIVE)
+    assert not np.array_equal(found[which == 0], found[which == 1])
+
+
+def test_an_opaque_line_takes_its_share_of_the_light_of_a_sheet_as_made(design):
+    lined = design.replace({"lattice.line": {"face": 1, "width": 0.05}})
+    with_line, plain = (bench(one, prescribe(one), 256).measured({}) for one in (lined, design))
+    assert with_line["throughput"] == pytest.approx(0.81, abs=4e-3)  # the rest hardly strays
+    assert with_line["law_rms"] < plain["law_rms"]
+    table = bench(design, prescribe(design), 64)
+    assert table.law_rms({"gap.1": 1e-3}) == table.measured({"gap.1": 1e-3})["law_rms"]
 
 
 @pytest.mark.slow

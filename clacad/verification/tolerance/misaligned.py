@@ -38,6 +38,9 @@ if TYPE_CHECKING:
 
 Errors = Mapping[str, float]
 
+ON_BORDER = 1.0 - 1e-12
+"""Factor on places in a cell: rounding takes no ray on its border out of it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
@@ -50,10 +53,6 @@ class Motion:
     def moves(self, point: Floats) -> Floats:
         """Displacement (…, 3) of points (…, 3)."""
         return np.asarray((point - self.pivot) @ (self.turn - np.eye(3)).T + self.shift)
-
-    def home(self, point: Floats) -> Floats:
-        """Positions (…, 3) of points (…, 3) after the motion."""
-        return np.asarray((point - self.pivot) @ self.turn.T + self.pivot + self.shift)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +104,9 @@ class Telescopelet:
             np.array([[one.index_before, one.index_after] for one in self.seq]),
             self.vertices,
             np.array([motion.turn for _, _, motion in self.faces]),
-            np.array([motion.home(place + shifts[array]) - place for _, array, motion in self.faces]),
+            np.array(
+                [shifts[array] + motion.moves(place + shifts[array]) for _, array, motion in self.faces]
+            ),
         )
         out, hits = np.array(ray), np.empty((len(self.seq), *ray.shape))
         through_faces(cells, which, start, out, hits)
@@ -118,7 +119,8 @@ class Telescopelet:
 
         window, lined = self.window, lined_face(self.window)
         lenses = [k for k, (face, _, _) in enumerate(self.faces) if face.array is not None]
-        good = in_optical_tile(window, hits[lenses, :, 0], hits[lenses, :, 1]).all(axis=0)
+        across = ON_BORDER * hits[lenses, :, :2]
+        good = in_optical_tile(window, across[..., 0], across[..., 1]).all(axis=0)
         processes = [Process(NOSES[name], radius * window.unit) for name, radius in self.noses.items()]
         for (x, y, z), (face, _, _) in zip(hits.transpose(0, 2, 1), self.faces, strict=True):
             if face is lined:
