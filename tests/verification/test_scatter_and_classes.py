@@ -63,17 +63,17 @@ def test_the_scatter_of_a_sheet_is_that_of_many_lenslets_drawn_one_by_one(form, 
     squares, light = [], []
     for _ in range(lenslets):
         errors = {name: sigma * random.standard_normal() for name, sigma in sigmas.items()}
-        one = table.light(errors, table.places[0])["cone"]
-        squares.append(one.rms**2)
-        light.append(one.share)
+        one = table.in_middle(errors)["cone"]
+        squares.append(one.rms[0] ** 2)
+        light.append(one.share[0])
     found = table.measured(sigmas)
     doubt = np.std(squares) / np.sqrt(lenslets)
     nominal = table.measured({})
     assert np.mean(squares) > nominal["law_rms"] ** 2 + 4.0 * doubt
-    middle = table.light({}, table.places[0])["cone"].rms ** 2 + table.scattered(sigmas)["law_rms"]
+    middle = table.in_middle({})["cone"].rms[0] ** 2 + table.scattered(sigmas)["law_rms"]
     assert middle == pytest.approx(np.mean(squares), abs=3.0 * doubt + 0.02 * np.mean(squares))
     assert found["kept"] - nominal["kept"] == pytest.approx(
-        (np.mean(light) - table.light({}, table.places[0])["cone"].share) / table.closed_form, abs=0.004
+        (np.mean(light) - table.in_middle({})["cone"].share[0]) / table.closed_form, abs=0.004
     )
 
 

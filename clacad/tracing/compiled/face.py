@@ -387,7 +387,7 @@ def upward(faces: Floats, row: int, x: float, y: float, z: float) -> tuple[float
     return -side * cx * x - twist * y, -side * cy * y + twist * x, w, gap * w
 
 
-class Cells(NamedTuple):
+class FaceSequences(NamedTuple):
     """Sequences of single faces that differ by their places alone, without the cells around them.
 
     faces : (f, FACE_NUMBERS), media : (f, 2). Numbers of each face, and the indices before and behind it.
@@ -403,8 +403,8 @@ class Cells(NamedTuple):
 
 
 @entry
-def through_faces(cells: Cells, which: Ints, start: Floats, ray: Floats, hits: Floats) -> None:
-    """Trace rays through single faces in the given order, as `optics.sequence`; `ray` becomes NaN where one ends.
+def through_faces(cells: FaceSequences, which: Ints, start: Floats, ray: Floats, hits: Floats) -> None:
+    """Trace rays through single faces in the given order, as `optics.sequence`; NaN where one ends.
 
     which : (n,). The sequence of each ray.
     start, ray : (n, 3). Unit directions, changed to those behind the last face.

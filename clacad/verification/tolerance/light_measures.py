@@ -34,7 +34,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import hypot
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -42,7 +42,7 @@ from clacad.base.types import Bools, Floats
 from clacad.design.sections import KELVIN
 from clacad.effects.scatter import haze
 from clacad.light.compare import WhiteLight, changed
-from clacad.light.measure import FIT_SCALE, Light, Send, fitted_law, measure, measure_each, rms_angles
+from clacad.light.measure import FIT_SCALE, Light, Send, fitted_law, measure, rms_angles
 from clacad.optics.law import Law, angle_between, difference_of_laws
 from clacad.optics.rays import Rays, TraceResult
 from clacad.optics.sequence import STEP, unit_directions
@@ -117,7 +117,7 @@ def measures_of(design: Design) -> dict[str, str]:
 
 
 @dataclass(frozen=True, eq=False)
-class CellLight:
+class BundleLight:
     """Light of one bundle through m cells, each number as `clacad.light.measure.Light` has it.
 
     alive : (m, n) bool; direction : (m, n, 3). Behind the sheet, without the requested focus.
@@ -207,7 +207,7 @@ class Bench:
     wavelength: float
     lines: Mapping[float, float] = field(default_factory=dict)
     kelvin: float = 0.0
-    _sent: dict[tuple[tuple[str, int], ...], tuple[Floats, ...]] = field(
+    _sent: dict[tuple[tuple[str, int], ...], tuple[Any, ...]] = field(
         init=False, default_factory=dict, repr=False
     )
     _known: dict[tuple[str, float], Floats] = field(init=False, default_factory=dict, repr=False)
@@ -220,8 +220,8 @@ class Bench:
         beams = [name for name in self.bundles if name.startswith("beam")]
         asked = {name: self.places for name in ("cone", *beams)}
         seen = self.cells(errors, asked | {"narrow": self.places[:1], "chief": step})
-        found = self._chief_measures(self._slopes(seen["chief"]))
-        found |= self._fitted(seen["narrow"].fitted(self.law.law))
+        found = self._chief_measures(_slopes(seen["chief"], self.window))
+        found |= _fitted(seen["narrow"].fitted(self.law.law), self.law.law)
         if self.lines or self.kelvin:
             stated = [self._stated(errors, place) for place in self.places]
             found |= {name: _worst([one[name] for one in stated]) for name in stated[0]}
@@ -253,8 +253,8 @@ class Bench:
         """Exit directions (n, 3) of the law for each bundle."""
         return {name: self.law.refract(one.rays.direction) for name, one in self.bundles.items()}
 
-    def cells(self, errors: Errors, asked: Mapping[str, Floats]) -> dict[str, CellLight]:
-        """Light of bundles through the cells of a sheet with these errors at their places (m, 2), in one trace."""
+    def cells(self, errors: Errors, asked: Mapping[str, Floats]) -> dict[str, BundleLight]:
+        """Light of bundles, each through cells at places (m, 2), of a sheet with these errors; one trace."""
         key = tuple((name, len(places)) for name, places in asked.items())
         if key not in self._sent:
             lit = [(self.bundles[name], m) for name, m in key]
@@ -272,7 +272,9 @@ class Bench:
             into, wished = self.bundles[name].rays.direction, self.expected[name]
             n, few = len(into), FEWEST_BY_BUNDLE.get(name, FEWEST_OF_BEAM)
             part = slice(at, at + m * n)
-            found[name] = CellLight(alive[part].reshape(m, n), out[part].reshape(m, n, 3), into, wished, few)
+            found[name] = BundleLight(
+                alive[part].reshape(m, n), out[part].reshape(m, n, 3), into, wished, few
+            )
             at += m * n
         return found
 
@@ -282,18 +284,16 @@ class Bench:
         for name, sigma in scatter.items():
             key = (name, sigma)
             if sigma and key not in self._known:
-                middle = self.light({}, self.places[0])
-                ends = [self._squares({name: way * sigma}, middle["beam"]) for way in (1.0, -1.0)]
-                self._known[key] = 0.5 * (ends[0] + ends[1]) - self._squares({}, middle["beam"])
+                here, up, down = (self._squares({name: way * sigma}) for way in (0.0, 1.0, -1.0))
+                self._known[key] = 0.5 * (up + down) - here
             total = total + self._known.get(key, 0.0)
         return {"law_rms": float(total[0]), "blur": float(total[1]), "throughput": self._lost(scatter)}
 
-    def _squares(self, errors: Errors, designed: Light) -> Floats:
+    def _squares(self, errors: Errors) -> Floats:
         """Mean squares of law_rms and of angles to the mean direction as designed."""
-        light = self.light(errors, self.places[0])
-        beam = light["beam"]
-        blur = beam.spread**2 + float(np.sum((beam.mean - designed.mean) ** 2))
-        return np.array([light["cone"].rms ** 2, blur])
+        light, designed = self.in_middle(errors), self.in_middle({})["beam"].mean[0]
+        blur = light["beam"].spread[0] ** 2 + float(np.sum((light["beam"].mean[0] - designed) ** 2))
+        return np.array([light["cone"].rms[0] ** 2, blur])
 
     def _lost(self, scatter: Errors) -> float:
         """Change of throughput: the mean of `DRAWN` lenslets of the middle cell, always the same ones."""
@@ -301,28 +301,20 @@ class Bench:
         key = tuple(sorted(sigmas.items()))
         if key and key not in self._shares:
             drawn = np.random.default_rng(0).standard_normal((DRAWN, len(key)))
-            shares = [
-                self.light({name: sigma * x for (name, sigma), x in zip(key, row)}, self.places[0])[
-                    "cone"
-                ].share
-                for row in drawn.tolist()
-            ]
-            self._shares[key] = float(np.mean(shares)) - self.light({}, self.places[0])["cone"].share
+            lenslets = ({name: sigma * x for (name, sigma), x in zip(key, row)} for row in drawn.tolist())
+            shares = [self.in_middle(one)["cone"].share[0] for one in lenslets]
+            self._shares[key] = float(np.mean(shares) - self.in_middle({})["cone"].share[0])
         return self._shares.get(key, 0.0)
 
-    def light(self, errors: Errors, place: Floats | None = None) -> dict[str, Light]:
-        """Light of each bundle through one cell of a sheet with these errors; default the sheet's middle."""
-        bundles = list(self.bundles.values())
-        seen = measure_each(self._sender(errors, place), bundles, self.law)
-        return {
-            name: replace(one, fewest=FEWEST_BY_BUNDLE.get(name, FEWEST_OF_BEAM))
-            for name, one in zip(self.bundles, seen, strict=True)
-        }
+    def in_middle(self, errors: Errors) -> dict[str, BundleLight]:
+        """Light of the cone and of parallel light through the middle cell of a sheet with these errors."""
+        return self.cells(errors, dict.fromkeys(("cone", "beam"), self.places[:1]))
 
     def _stated(self, errors: Errors, place: Floats) -> dict[str, float]:
-        """Measures of white light and temperature of one cell, against its light at the design's wavelength."""
+        """Measures of white light and temperature of one cell, against the design's wavelength."""
         found: dict[str, float] = {}
-        cone = self.light(errors, place)["cone"]
+        lit = self.bundles["cone"]
+        cone = Light(lit, self._sender(errors, place)(lit), self.law, FEWEST_BY_BUNDLE["cone"])
         if self.lines:
             light = measure(self._sender(errors, place), cone.lit, self.law, self.lines, fewest=cone.fewest)
             white = WhiteLight(cone, light, self.lines)
@@ -335,7 +327,7 @@ class Bench:
             found["temperature"] = max(changed(cone, one) for one in ends)
         return found
 
-    def _sender(self, errors: Errors, place: Floats | None = None, window: Window | None = None) -> Send:
+    def _sender(self, errors: Errors, place: Floats, window: Window | None = None) -> Send:
         """Sender through one cell, over cell 1 at its actual position: the light covers the whole sheet."""
         sheet = self.window if window is None else window
         cell = telescopelet(sheet, errors, place)
@@ -352,15 +344,8 @@ class Bench:
         rough = errors.get("roughness", 0.0) * self.window.unit
         return haze(self.window, rough, self.wavelength) if rough else 0.0
 
-    def _fitted(self, law: Law | None) -> dict[str, float]:
-        names = ("eta_x", "eta_y", "delta_x", "delta_y", "eta_error", "delta_error")
-        if law is None:
-            return dict.fromkeys(names, np.nan)
-        off = difference_of_laws(law, self.law.law)
-        return dict(zip(names, (law.eta_x, law.eta_y, law.delta_x, law.delta_y, *off), strict=True))
-
     def _chief_measures(self, slopes: Floats) -> dict[str, float]:
-        """Image shift, slip and power, from the slopes (5, 5, 2) of the chief rays of a cell and its neighbours."""
+        """Image shift, slip and power, from slopes (5, 5, 2) of chief rays: of a cell and its neighbours."""
         window, unit = self.window, self.window.unit
         here = slopes[0]
         shift = here[0] - self.chief
@@ -388,12 +373,22 @@ class Bench:
 
     def chief_slopes(self, errors: Errors) -> Floats:
         """Exit slopes (2,), lens frame, of the chief ray of the middle; NaN for a lost ray."""
-        return self._slopes(self.cells(errors, {"chief": np.zeros((1, 2))})["chief"])[0, 0]
+        middle = self.cells(errors, {"chief": np.zeros((1, 2))})
+        return np.asarray(_slopes(middle["chief"], self.window)[0, 0])
 
-    def _slopes(self, chief: CellLight) -> Floats:
-        """Exit slopes (m, 5, 2), lens frame, of the chief rays of m cells and their parabasal rays."""
-        turned = chief.direction @ self.window.thin.rotation
-        return np.asarray(turned[..., :2] / turned[..., 2:])
+
+def _fitted(law: Law | None, asked: Law) -> dict[str, float]:
+    names = ("eta_x", "eta_y", "delta_x", "delta_y", "eta_error", "delta_error")
+    if law is None:
+        return dict.fromkeys(names, np.nan)
+    off = difference_of_laws(law, asked)
+    return dict(zip(names, (law.eta_x, law.eta_y, law.delta_x, law.delta_y, *off), strict=True))
+
+
+def _slopes(chief: BundleLight, window: Window) -> Floats:
+    """Exit slopes (m, 5, 2), lens frame, of the chief rays of m cells and their parabasal rays."""
+    turned = chief.direction @ window.thin.rotation
+    return np.asarray(turned[..., :2] / turned[..., 2:])
 
 
 def bench(

@@ -91,15 +91,15 @@ class Telescopelet:
         return ledger.closed()
 
     def through(self, start: Floats, ray: Floats, which: Ints) -> tuple[Floats, Bools]:
-        """Directions (n, 3) behind the sheet, NaN where a ray ended, and which rays stay in their telescopelet.
+        """Directions (n, 3) behind the sheet, NaN where a ray ended; which rays stay in their telescopelet.
 
         which : (n,). The telescopelet of each ray.
         """
-        from clacad.tracing.compiled.face import Cells, through_faces
+        from clacad.tracing.compiled.face import FaceSequences, through_faces
         from clacad.tracing.compiled.packing import surface_row
 
         place, shifts = np.pad(self.centres, ((0, 0), (0, 1))), np.pad(self.window.shifts, ((0, 0), (0, 1)))
-        cells = Cells(
+        cells = FaceSequences(
             np.array([surface_row(one.surface, one.rotation) for one in self.seq]),
             np.array([[one.index_before, one.index_after] for one in self.seq]),
             self.vertices,
@@ -113,7 +113,7 @@ class Telescopelet:
         return out, np.isfinite(out[:, 0]) & self._inside(hits)
 
     def _inside(self, hits: Floats) -> Bools:
-        """Which rays (n,) hit every lens face in the optical zone of their cell; hits (f, n, 3), cell frames."""
+        """Which rays (n,) hit every lens face in the optical zone; hits (f, n, 3) in the frames of cells."""
         from clacad.design.process import Process
         from clacad.making.made_surface import MadeSurface
 
