@@ -235,12 +235,13 @@ def light_is_known(a: Asked) -> Iterator[Mistake]:
     """Every material must have an index at the stated lines, and a dn/dT where a temperature is stated."""
     lines = next((key for key in (LIGHT.spectrum, CHECK.law_white) if a(key) is not None), "")
     warm = next((key for key in (LIGHT.temperature, CHECK.temperature) if a(key) is not None), "")
-    if not lines and not warm:
+    if not lines and not warm and not a(LIGHT.thermal):
         return
     listed = [face.behind for face in a(PAIR.face) or () if face.behind not in (None, AIR)]
     media = listed if a(PAIR.form) == "plates" else a(PAIR.layers) or [a(PAIR.material)]
     names = {str(name) for name in media if name}
     from clacad.optics.material.catalogue import find
+    from clacad.optics.material.material import NOT_PUBLISHED, state_it
 
     for key in filter(None, (lines, warm) if not names else ()):
         yield Mistake(
@@ -248,6 +249,14 @@ def light_is_known(a: Asked) -> Iterator[Mistake]:
             f"{key} needs a material: an index alone is known at one wavelength",
             key,
             allowed="with pair.material, a name of the table",
+        )
+    stated = {_called(one.material): one for one in a(LIGHT.thermal) or ()}
+    for name in sorted(set(stated) - {_called(one) for one in names}):
+        yield Mistake(
+            "CL119",
+            f"light.thermal states numbers of {name}, of which nothing is made here",
+            LIGHT.thermal,
+            allowed=f"the materials of this sheet: {', '.join(sorted(names)) or 'none'}",
         )
     for name in sorted(names):
         try:
@@ -260,9 +269,21 @@ def light_is_known(a: Asked) -> Iterator[Mistake]:
         except ValueError as problem:
             yield Mistake("CL119", str(problem), lines, allowed="lines in that range")
             continue
-        if warm and material.thermal.dn_dt is None:
-            message = f"{warm} needs dn/dT of {name}, which is not known: no published value is in the table"
-            yield Mistake("CL119", message, warm, allowed="a material with dn/dT, see `clacad explain`")
+        own = stated.get(material.name)
+        if warm and material.thermal.dn_dt is None and (own is None or own.dn_dt is None):
+            message = f"{warm} needs dn/dT of {name}: {NOT_PUBLISHED}"
+            hint = state_it(material.name, "dn_dt")
+            yield Mistake("CL119", message, warm, allowed="a material with dn/dT", hint=hint)
+
+
+def _called(name: str) -> str:
+    """Name of a material of the table; an unknown name is left as it is."""
+    from clacad.optics.material.catalogue import find
+
+    try:
+        return find(name).name
+    except ValueError:
+        return name
 
 
 def worked_materials_are_known(a: Asked) -> Iterator[Mistake]:

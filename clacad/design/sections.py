@@ -316,12 +316,25 @@ KELVIN: Final = 20.0
 """Change of temperature at which the law is measured where the design states none."""
 
 
+_PER_KELVIN: Final = Quantity("ratio", "a number from -0.01 to 0.01, per kelvin", least=-0.01, most=0.01)
+
+
 @dataclass(frozen=True, slots=True)
 class LineSpec:
     """One line of white light; its wavelength in metres."""
 
     wavelength: float = key(_WAVELENGTH, "wavelength of the line", REQUIRED)
     weight: float = key(Quantity("ratio", "a number > 0", above=0.0), "weight of the line", 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalSpec:
+    """Thermal numbers of one material (1/K), in place of those of the table."""
+
+    material: str = key(Text("the name of a material", 60), "material whose numbers are stated", REQUIRED)
+    dn_dt: float | None = key(_PER_KELVIN, "change of the index with temperature, 1/K")
+    expansion: float | None = key(_PER_KELVIN, "linear thermal expansion, 1/K")
+    source: str = key(Text("a source", 200), "source of the numbers", "light.thermal")
 
 
 LINES: Final = ListOf(Record(LineSpec), "tables", least=1)
@@ -358,6 +371,10 @@ class LightSpec:
             "temperature", "a difference of temperature > 0, at most 200 K", above=0.0, most=200.0, bare=False
         ),
         "change of temperature, up and down, at which the law is measured (20 K)",
+    )
+    thermal: tuple[ThermalSpec, ...] | None = key(
+        ListOf(Record(ThermalSpec), "tables", least=1),
+        "dn/dT and expansion of materials of the sheet, in place of those of the table",
     )
 
     @property

@@ -28,7 +28,7 @@ from clacad.explain.glossary import SYNONYMS, WORDS
 from clacad.exporting.formats.format import Format
 from clacad.exporting.formats.registry import formats
 from clacad.optics.material.catalogue import find, names
-from clacad.optics.material.material import D_LINE, Material
+from clacad.optics.material.material import D_LINE, NOT_PUBLISHED, Material, state_it
 from clacad.topology.complex_parts import CODES as BODIES
 
 SHOWN = (550e-9, 4e-6, 10.6e-6)
@@ -238,18 +238,16 @@ def _material(one: Material) -> Entry:
         ", ".join(f"n = {one.index(wave):.4f} at {_wave(wave)}" for wave in waves),
         f"n_d = {one.index(D_LINE):.5f}, V_d = {abbe:.1f}" if abbe is not None else "V_d is not published",
         f"known from {1e9 * short:.0f} to {nm_text(long, 0, fixed=True)}",
-        "density not published" if one.density_kg_m3 is None else f"{one.density_kg_m3:g} kg/m³",
-        "dn/dT not published" if thermal.dn_dt is None else _dn_dt(*thermal.dn_dt),
-        (
-            "expansion not published"
-            if thermal.expansion is None
-            else f"expansion {1e6 * thermal.expansion:.3g}e-6/K"
-        ),
+        _density(one),
+        "dn/dT: " + (NOT_PUBLISHED if thermal.dn_dt is None else _dn_dt(*thermal.dn_dt)),
+        "expansion: "
+        + (NOT_PUBLISHED if thermal.expansion is None else f"{1e6 * thermal.expansion:.3g}e-6/K"),
         "absorption known" if one.extinction else "absorption not published",
     ]
     made = [rules.name for rules in profiles() if rules.materials and rules.works(one)]
     means.append(f"worked by {', '.join(made)}" if made else "worked by no process known here")
     why = f"From: {one.source}." + (f" Thermal numbers: {thermal.source}." if thermal.source else "")
+    missing = "dn_dt" if thermal.dn_dt is None else "expansion" if thermal.expansion is None else ""
     return Entry(
         "",
         one.name,
@@ -257,13 +255,21 @@ def _material(one: Material) -> Entry:
         f"{'; '.join(means)}.",
         why,
         "",
-        f'pair.material = "{one.name}" in the design file.',
+        f'pair.material = "{one.name}" in the design file'
+        + (f"; {state_it(one.name, missing)}." if missing else "."),
         "material",
     )
 
 
+def _density(one: Material) -> str:
+    if one.density_kg_m3 is None:
+        return f"density: {NOT_PUBLISHED}"
+    by = "of that catalogue" if "catalogue" in one.source else "a typical value of handbooks"
+    return f"{one.density_kg_m3:g} kg/m³ ({by})"
+
+
 def _dn_dt(change: float, wave: float) -> str:
-    return f"dn/dT {1e6 * change:.3g}e-6/K at {_wave(wave)}"
+    return f"{1e6 * change:.3g}e-6/K at {_wave(wave)}"
 
 
 def _wave(metres: float) -> str:

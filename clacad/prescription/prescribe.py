@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
     from clacad.base.types import Ints
     from clacad.design import Design
+    from clacad.design.sections import ThermalSpec
+    from clacad.optics.material.material import Material
     from clacad.prescription.intent import Intent
     from clacad.sheet.window import Window
 
@@ -151,7 +153,38 @@ def _of_form(intent: Intent) -> Window:
     from clacad.prescription.plano_and_slab import plano, slab
 
     build = {"biconvex": biconvex, "plano": plano, "slab": slab, "plates": plates}[intent.design.pair.form]
-    return build(intent)
+    return _with_stated_numbers(build(intent), intent.design)
+
+
+def _with_stated_numbers(window: Window, design: Design) -> Window:
+    """The window with the thermal numbers that `light.thermal` states in place of the table's."""
+    if not design.light.thermal:
+        return window
+    from clacad.optics.material.catalogue import find
+
+    stated = {find(one.material).name: one for one in design.light.thermal}
+    bodies = []
+    for body in window.bodies:
+        own = None if body.material is None else stated.get(body.material.name)
+        if body.material is not None and own is not None:
+            body = replace(body, material=_stated(body.material, own))
+        bodies.append(body)
+    return replace(window, bodies=tuple(bodies))
+
+
+def _stated(material: Material, own: ThermalSpec) -> Material:
+    """The material with stated thermal numbers; those left out are the table's."""
+    from clacad.optics.material.material import D_LINE, EXPANSION, ThermalNumbers
+
+    known, dn_dt, expansion = material.thermal, own.dn_dt, own.expansion
+    index_by = own.source if dn_dt is not None else known.source.split("; ")[0] or material.source
+    growth_by = own.source if expansion is not None else known.source.split(EXPANSION)[-1] or material.source
+    changed = ThermalNumbers(
+        known.dn_dt if dn_dt is None else (dn_dt, D_LINE),
+        known.expansion if expansion is None else expansion,
+        f"{index_by}; {EXPANSION}{growth_by}",
+    )
+    return replace(material, thermal=changed)
 
 
 def _checked(design: Design) -> Window:

@@ -18,6 +18,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.base.vectors import xy
+from clacad.optics.material.material import NOT_PUBLISHED, state_it
 from clacad.optics.surface.sag_and_normal import resized
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.face_order import refractions
@@ -181,8 +182,12 @@ def heated(window: Window, kelvin: float) -> Window:
 
 def _expansion(body: Body) -> float:
     material = body.material
-    if material is None or material.thermal.expansion is None:
-        raise ValueError(f"{body.name}: the expansion of its material is not known")
+    if material is None:
+        raise ValueError(f"{body.name}: the expansion of an index without a material is not known")
+    if material.thermal.expansion is None:
+        raise ValueError(
+            f"expansion of {material.name}: {NOT_PUBLISHED}; {state_it(material.name, 'expansion')}"
+        )
     return material.thermal.expansion
 
 

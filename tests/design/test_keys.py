@@ -90,7 +90,9 @@ def test_a_new_key_is_suggested_and_refused_as_its_kind_says():
         with_light(glwo=1, mood="wilt")
     messages = {mistake.key: mistake for mistake in caught.value.mistakes}
     assert messages["light.glwo"].hint == "light.glow"
-    assert messages["light.glwo"].allowed == "in [light]: coherent, spectrum, temperature, glow, mood"
+    assert (
+        messages["light.glwo"].allowed == "in [light]: coherent, spectrum, temperature, thermal, glow, mood"
+    )
     assert messages["light.mood"].allowed == '"calm" | "wild"'
     assert '"wild"' in messages["light.mood"].hint
 

@@ -15,6 +15,7 @@ from mpmath import mp, mpf
 
 import clacad
 from clacad.advice import judge
+from clacad.checks.check import Check
 from clacad.config.mistakes import DesignError
 from clacad.design import Design, load
 from clacad.design.starter_designs import template
@@ -23,7 +24,7 @@ from clacad.judging.step_light import FaceTracer
 from clacad.light.compare import changed, closed_change, paraxial
 from clacad.light.measure import measure
 from clacad.optics.material.catalogue import find, names
-from clacad.optics.material.material import ThermalNumbers
+from clacad.optics.material.material import NOT_PUBLISHED, ThermalNumbers
 from clacad.optics.rays import Fate, Rays
 from clacad.sheet.bundle import RequestedLaw, bundle
 from clacad.sheet.like_cell import heated, in_light
@@ -183,6 +184,8 @@ def test_stated_lines_and_limits_are_judged_and_older_designs_keep_their_text():
         ({"light.temperature": 20}, "has no unit"),
         ({"light.temperature": "20 m"}, "is a length"),
         ({"light.temperature": "5 K", "pair.material": "SAN"}, "dn/dT of SAN"),
+        ({"light.thermal": [{"material": "PS", "dn_dt": -1e-4}]}, "of which nothing is made"),
+        ({"light.thermal": [{"material": "PMMA", "dn_dt": "1e-4 K"}]}, "from -0.01 to 0.01"),
         ({"light.spectrum": "visable"}, "visible"),
         ({"light.spectrum": []}, "has 0 values"),
     ],
@@ -190,6 +193,51 @@ def test_stated_lines_and_limits_are_judged_and_older_designs_keep_their_text():
 def test_lines_and_temperatures_that_are_not_known_are_refused(changes, says):
     with pytest.raises(DesignError, match=says):
         load(DESIGNS / "window-100mm.toml").replace(changes)
+
+
+def temperature_of(design: Design) -> Check:
+    return next(check for check in judge(design).light if check.id == "temperature")
+
+
+def test_stated_thermal_numbers_take_the_place_of_those_of_the_table():
+    plain = load(DESIGNS / "window-100mm.toml").with_cells((8, 8)).replace("light.temperature", "5 K")
+
+    def stated(material: str, **numbers: float) -> Check:
+        light = [{"material": material, "source": "own oven", **numbers}]
+        return temperature_of(plain.replace({"pair.material": material, "light.thermal": light}))
+
+    table = temperature_of(plain)
+    assert stated("acrylic", dn_dt=-1e-4).value == pytest.approx(table.value, rel=1e-12)
+    assert stated("PMMA", expansion=1e-4).value == table.value  # a scale of the sheet
+    once, twice = stated("SAN", dn_dt=-1e-4), stated("SAN", dn_dt=-2e-4)
+    assert twice.value == pytest.approx(2.0 * once.value, rel=0.01)
+    assert "dn/dT by own oven" in once.sentence
+    assert "left out: expansion" in once.sentence
+
+
+def test_layers_of_equal_expansion_and_no_change_of_the_index_only_grow():
+    sheet = load("achromat", ["lattice.count = [8, 8]", 'light.temperature = "20 K"'])
+    assert temperature_of(sheet).value > 1e-5
+    still = [{"material": one, "dn_dt": 0.0, "expansion": 5e-5} for one in ("silica", "N-SF6")]
+    assert temperature_of(sheet.replace("light.thermal", still)).value < 1e-12
+    assert "expansion by SCHOTT catalogue of LITHOSIL-Q" in temperature_of(sheet).sentence
+
+
+@pytest.mark.parametrize("name", names())
+def test_every_material_prints_its_sources_or_how_to_state_what_is_not_published(name):
+    one, found = find(name), explain(name)
+    text = f"{found.means} {found.why} {found.do}"
+    missing = None in (one.thermal.dn_dt, one.thermal.expansion)
+    for number, words in (
+        (one.density_kg_m3, "density"),
+        (one.thermal.dn_dt, "dn/dT"),
+        (one.thermal.expansion, "expansion"),
+    ):
+        assert (f"{words}: {NOT_PUBLISHED}" in text) == (number is None)
+    assert (f'light.thermal = [{{material = "{name}"' in text) == missing
+    if "SCHOTT" not in one.source and not missing:
+        assert one.thermal.source or "data sheet" in one.source
+    assert one.source.split(",")[0] in text
 
 
 def test_indices_at_the_ends_of_every_range_agree_with_50_digits():

@@ -138,6 +138,18 @@ class WavelengthNotKnown(ValueError):
     exit_status = 2
 
 
+EXPANSION = "expansion: "
+"""Words before the source of the expansion, where that of dn/dT is another."""
+
+NOT_PUBLISHED = "no published value is in the table"
+"""Words of messages for a thermal number that is not known."""
+
+
+def state_it(name: str, number: str) -> str:
+    """Hint: how a design states a thermal number (dn_dt, expansion) of a material."""
+    return f'state its {number} with light.thermal = [{{material = "{name}", {number} = ...}}], per kelvin'
+
+
 @dataclass(frozen=True, slots=True)
 class ThermalNumbers:
     """Published properties of a material near room temperature; None where none is published.
@@ -259,7 +271,7 @@ class Material:
         if self.warmer == 0.0:
             return 0.0
         if self.thermal.dn_dt is None:
-            raise ValueError(f"{self.name}: no change of the index with temperature is published")
+            raise ValueError(f"dn/dT of {self.name}: {NOT_PUBLISHED}; {state_it(self.name, 'dn_dt')}")
         return self.thermal.dn_dt[0] * self.warmer
 
     def heated(self, kelvin: float) -> Material:

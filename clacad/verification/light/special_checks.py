@@ -41,6 +41,7 @@ from clacad.light.confocality import axis_start, field_onto_axis
 from clacad.light.measure import Light, first_rays, measure, rms_of
 from clacad.optics.law.focusing import cell_width
 from clacad.optics.law.imaging import spot_widths
+from clacad.optics.material.material import EXPANSION
 from clacad.optics.rays import Fate, Rays
 from clacad.optics.sequence import STEP, Interface, trace_sequence
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
@@ -334,7 +335,7 @@ def _white(lit: Lit, cell: SeenCell, base: Light, lines: dict[float, float]) -> 
         "floor": floor,
         "sources": sources,
     }
-    sentence += f"; index by {'; '.join(sources.values())}"
+    sentence += f"; index by {'; '.join(dict.fromkeys(sources.values()))}"
     yield _judged(LAW_WHITE, value, lit.design.check.law_white, sentence, base, detail)
     change = white.mean(white.change)
     own = nm_text(lit.like.wavelength or 0.0)
@@ -373,9 +374,16 @@ def _temperature(lit: Lit, cell: SeenCell, base: Light) -> Check:
         f"{kelvin:g} K change the direction by {mrad_text(worst['change'])} rms (closed form"
         f" {mrad_text(worst['closed_form'])}); light then leaves {each} mrad rms from the law"
     )
-    sources = thermal_sources_of(lit.like)
-    sentence += f"; dn/dT by {'; '.join(dict.fromkeys(sources.values()))}"
+    sources, grown = thermal_sources_of(lit.like), growth_sources_of(lit.like)
+    sentence += f"; dn/dT by {'; '.join(dict.fromkeys(sources.values()))}; {_growth(grown)}"
     return _judged(TEMPERATURE, worst["change"], limit, sentence, base, {"rows": rows, "sources": sources})
+
+
+def _growth(sources: dict[str, str]) -> str:
+    """What is done about expansion, and what is left out of the row."""
+    if len(sources) < 2:
+        return "left out: expansion, a scale of a sheet of one material, and dn/dT over the wavelength"
+    return f"expansion by {'; '.join(dict.fromkeys(sources.values()))}; left out: dn/dT over the wavelength"
 
 
 def _at(lit: Lit, cell: SeenCell, base: Light, kelvin: float) -> dict[str, float]:
@@ -397,7 +405,7 @@ def _judged(
 
 def sources_of(window: Window) -> dict[str, str]:
     """Material → source of its index."""
-    return {one.name: one.source.split(",")[0] + _year(one.source) for one in _materials(window)}
+    return {one.name: _short(one.source) for one in _materials(window)}
 
 
 def thermal_sources_of(window: Window) -> dict[str, str]:
@@ -406,11 +414,19 @@ def thermal_sources_of(window: Window) -> dict[str, str]:
     return {name: own[name] or source for name, source in sources_of(window).items()}
 
 
+def growth_sources_of(window: Window) -> dict[str, str]:
+    """Material → source of its expansion."""
+    own = {one.name: one.thermal.source.split(EXPANSION)[-1].split(";")[0] for one in _materials(window)}
+    return {name: own[name] or source for name, source in sources_of(window).items()}
+
+
 def _materials(window: Window) -> list[Material]:
     return [body.material for body in window.bodies if body.material is not None]
 
 
-def _year(source: str) -> str:
-    """The year of a source, with a blank before it; "" where it has none."""
+def _short(source: str) -> str:
+    """Authors or publisher of a source, and its year."""
     words = source.replace("(", " ").replace(")", " ").replace(";", " ").replace("-", " ").split()
-    return next((f" {word}" for word in words if word.isdigit() and 1900 <= int(word) <= 2100), "")
+    year = next((word for word in words if word.isdigit() and 1900 <= int(word) <= 2100), "")
+    first = source.split(",")[0].split(";")[0]
+    return first if year in first else f"{first} {year}"
