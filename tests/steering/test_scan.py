@@ -22,7 +22,8 @@ from clacad.sheet.volume_and_extent import whole_extent
 from clacad.verification.tolerance import telescopelet
 from clacad.waves import exit_pupil
 
-GOLDEN = json.loads((Path(__file__).parents[1] / "data" / "scanner.json").read_text())
+DATA = Path(__file__).parents[1] / "data"
+GOLDEN = json.loads((DATA / "scanner.json").read_text())
 MOVES = {"scanner-f5": None, "scanner-f2": {2: 0.5, 3: 1.0}}
 
 
@@ -37,7 +38,9 @@ def starter(kind: str) -> Design:
 )
 def test_slope_spread_and_share_are_those_of_an_independent_tracer(kind, axis, rows):
     golden = GOLDEN[kind][rows]
-    found = steer(starter(kind), golden[-1]["travel"], axis, MOVES[kind], waves=False, progress=silent)
+    own = DATA / f"{kind}.toml"  # faces of the reference, where the starter has others
+    design = load(own).with_cells((12, 12)) if own.exists() else starter(kind)
+    found = steer(design, golden[-1]["travel"], axis, MOVES[kind], waves=False, progress=silent)
     for one, want in zip(found.positions[len(golden) - 1 :], golden, strict=True):
         assert one.travel == pytest.approx(want["travel"], abs=1e-15)
         assert one.slopes[0] == pytest.approx(want["slope"], abs=1e-4)
@@ -45,15 +48,17 @@ def test_slope_spread_and_share_are_those_of_an_independent_tracer(kind, axis, r
         assert one.share == pytest.approx(want["share"], abs=0.004)
 
 
-@pytest.mark.parametrize(("kind", "limit"), [("scanner-f5", 0.54e-3), ("scanner-f2", 1.9e-3)])
-def test_scanners_reach_their_figures_over_the_whole_travel(kind, limit):
-    reach = GOLDEN[kind]["axis"][-1]["travel"]
-    found = steer(starter(kind), reach, "y", MOVES[kind], positions=5, waves=False, progress=silent)
+@pytest.mark.parametrize(
+    ("kind", "slope", "limit"), [("scanner-f5", 0.0983, 0.54e-3), ("scanner-f2", 0.245, 1.9e-3)]
+)
+def test_scanners_reach_their_figures_over_the_whole_travel(kind, slope, limit):
+    found = steer(starter(kind), 0.04925, "y", MOVES[kind], positions=11, waves=False, progress=silent)
+    assert found.positions[-1].slopes[1] >= slope
     assert found.worst_spread <= limit
     assert found.least_share >= 0.96
-    assert all(abs(one.exit_beam_over_pitch - 1.0) <= 0.05 for one in found.positions)
+    assert all(abs(width - 1.0) <= 0.05 for one in found.positions for width in one.exit_beams)
     assert found.cross_talk < 1e-5
-    assert found.nonlinearity < 1e-6  # the even part, of a bundle that is not quite symmetric
+    assert found.nonlinearity < 5e-6  # the rest of three odd terms, and a bundle that is not quite symmetric
     travel = np.array([one.travel for one in found.positions])
     fit = sum(c * travel ** (2 * k + 1) for k, c in enumerate(found.odd_terms))
     assert np.abs(fit - [one.slopes[1] for one in found.positions]).max() < 1e-5
