@@ -1,4 +1,4 @@
-"""Vectors in space: triangles of many at once, and axes across a direction.
+"""Vectors in space: triangles of many at once, rows in turned axes, and axes across a direction.
 
 Triangles are arrays (k, 3, 3) of their corners. Sums are written column by column: the result of
 ``numpy.cross`` of two edges in a third of its time.
@@ -29,6 +29,22 @@ def middles(corners: Floats) -> Floats:
     """Centroids (k, 3) of triangles (k, 3, 3)."""
     a, b, c = np.moveaxis(corners, 1, 0)
     return np.asarray((a + b + c) / 3.0)
+
+
+def to_sheet(rotation: Floats | None, rows: Floats) -> Floats:
+    """Rows (n, 3) rotated from surface axes to sheet axes by one rotation (3, 3) or by one each (n, 3, 3);
+    summed in a fixed order for any number of rows.
+    """
+    if rotation is None:
+        return rows
+    x, y, z = rows[:, 0], rows[:, 1], rows[:, 2]
+    columns = rotation if rotation.ndim == 2 else np.moveaxis(rotation, 0, -1)
+    return np.stack([r[0] * x + r[1] * y + r[2] * z for r in columns], axis=-1)
+
+
+def to_surface(rotation: Floats | None, rows: Floats) -> Floats:
+    """Rows (n, 3) rotated from sheet axes to surface axes."""
+    return rows if rotation is None else to_sheet(rotation.swapaxes(-1, -2), rows)
 
 
 def unit(vector: Floats) -> Floats:

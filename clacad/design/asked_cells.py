@@ -61,8 +61,10 @@ def cell_laws(design: Requested) -> CellLaws:
             return CellLaws(law)
         return CellLaws(law, table=_inclined_deltas(design, design.pair.focus))
     if spec.table is not None:
-        found = read_table(design.path, spec.table, lattice_of(design), (law.eta_x, law.eta_y))
-        return CellLaws(law, table=found.deltas, ratios=found.etas)
+        asked = design.law_spec
+        found = read_table(design.path, spec.table, lattice_of(design), asked.eta, asked.euler_degrees)
+        angles = None if found.euler is None else np.radians(found.euler)
+        return CellLaws(law, table=found.deltas, ratios=found.etas, angles=angles)
     if spec.gradient is None and law.theta != 0.0:
         return CellLaws(law, table=_inclined_deltas(design, spec.conjugates, spec.f_image))
     rows = np.array(gradient_of(spec, design.law_spec.eta, design.pair.separation or 0.0))

@@ -1,14 +1,15 @@
 """Tables of δ, and optionally η, for each cell, from an untrusted file: CSV or NPZ.
 
 CSV: the header ``i,j,delta_x,delta_y``, optionally followed by ``,eta`` or by ``,eta_x``, ``,eta_y`` or
-both, and one row for each cell, in any order. i and j are the cell's indices as in `clacad.Lattice` (axial
-for hexagons). A byte order mark and Windows line ends are accepted.
+both, and by ``,phi``, ``,psi`` or both, and one row for each cell, in any order. i and j are the cell's
+indices as in `clacad.Lattice` (axial for hexagons). A byte order mark and Windows line ends are accepted.
 
 NPZ: an array ``delta`` (n1, n2, 2) of numbers, whose first index is the position in the row, and optionally
-``eta``, or ``eta_x`` and ``eta_y`` (n1, n2); pickled data are not read.
+``eta``, or ``eta_x`` and ``eta_y``, ``phi`` and ``psi`` (n1, n2); pickled data are not read.
 
 eta applies to both lens axes, eta_x and eta_y to one each; an axis that none of them names has the law's. It
-must lie on the same side of 0 and of 1 as the law's η, so that both lenses keep their signs.
+must lie on the same side of 0 and of 1 as the law's η, so that both lenses keep their signs. phi and psi are
+those of law.euler for one cell, in degrees: the turn of its lens axes about z where theta = 0.
 
 A table has exactly one δ for each kept cell of the sheet. The design's canonical text contains the table's
 SHA-256, so that the design's hash covers its table.
@@ -81,11 +82,17 @@ def digest(path: str) -> str:
     return made.hexdigest()
 
 
-def read_table(design_path: str, table: TableSpec, lattice: Lattice, eta: Pair2) -> CellNumbers:
-    """δ of every cell, and η if the table has it.
+def read_table(
+    design_path: str,
+    table: TableSpec,
+    lattice: Lattice,
+    eta: Pair2,
+    euler: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> CellNumbers:
+    """δ of every cell, and η and angles if the table has them.
 
     design_path : Path of the design that names the table.
-    eta : η of the design's law, along the lens axes.
+    eta, euler : η of the design's law, along the lens axes; its φ, θ, ψ in degrees.
     Returns: First index: the position in the row; 0 and the law's η for cells that an outline leaves out.
     Raises DesignError: With row and column: a wrong header, a cell twice or missing, an index outside, a
         value that is no finite number from -1e6 to 1e6, an η on another side of 0 or 1. Without: a file
@@ -103,4 +110,4 @@ def read_table(design_path: str, table: TableSpec, lattice: Lattice, eta: Pair2)
         why = f"{path} is not the table whose sha256 the design states"
         hint = "the name alone takes the table as it is"
         raise design_error("CL124", why, KEY, found=found, allowed=table.sha256, hint=hint)
-    return TableFile(path, lattice, KEY, eta).numbers()
+    return TableFile(path, lattice, KEY, eta, euler).numbers()

@@ -181,10 +181,11 @@ class NumberRows:
 COLUMNS: Final = ("i", "j", "delta_x", "delta_y")
 ETAS: Final = {"eta": (0, 1), "eta_x": (0,), "eta_y": (1,)}
 """Names of optional columns and arrays, and the lens axes whose η they state: eta alone, or the others."""
-NOT_HERE: Final = tuple(
-    (name, "one orientation of the lens axes holds for all cells: law.euler")
-    for name in ("phi", "theta", "psi")
-)
+TURNS: Final = ("phi", "psi")
+"""Names of the optional columns and arrays after them: the angles of law.euler that cells may have."""
+NO_TILT: Final = "lenses of another tilt have other thicknesses: one tilt holds for all cells, law.euler"
+LARGEST_TURN: Final = 36000.0
+"""Largest angle in degrees, as for the key law.euler."""
 LARGEST: Final = 1e6
 """Largest |δ| and |η|, as for the keys law.delta and law.eta."""
 LEAST_ETA: Final = 1e-6
@@ -193,12 +194,13 @@ ARRAY: Final = "delta"
 
 
 class CellNumbers(NamedTuple):
-    """Numbers of a table: δ (n1, n2, 2), and η (n1, n2), or (n1, n2, 2) of each axis, or None; 0 and the
-    law's η for left-out cells.
+    """Numbers of a table: δ (n1, n2, 2), η (n1, n2), or (n1, n2, 2) of each axis, or None, and φ, θ, ψ in
+    degrees (n1, n2, 3), or None; 0 and the law's η and angles for left-out cells.
     """
 
     deltas: Floats
     etas: Floats | None
+    euler: Floats | None = None
 
 
 def _eta_range(etas: Iterable[float]) -> tuple[float, float]:
@@ -214,15 +216,23 @@ class TableFile:
 
     key : Key of the design that names the table.
     eta : η of the sheet's law along the lens axes.
+    euler : φ, θ, ψ of the sheet's law, degrees.
     """
 
     path: str
     lattice: Lattice
     key: str
     eta: Pair2 = (-1.0, -1.0)
+    euler: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def law(self) -> dict[str, float]:
+        """The law's number in place of a column or an array that a table lacks."""
+        names = (*ETAS, "phi", "theta", "psi")
+        return dict(zip(names, (self.eta[0], *self.eta, *self.euler), strict=True))
 
     def numbers(self) -> CellNumbers:
-        """Read δ of every cell, and η if the table has it; see `clacad.design.cell_table.read_table`."""
+        """Read δ of every cell, and η and angles if the table has them; see `read_table`."""
         if self.path.lower().endswith(".npz"):
             return self._of_array()
         return self._of_rows()
@@ -234,29 +244,40 @@ class TableFile:
     # --- CSV ------------------------------------------------------------------------------------------
 
     def _of_rows(self) -> CellNumbers:
-        rows = NumberRows(self.path, COLUMNS, self.key, NOT_HERE)
+        rows = NumberRows(self.path, COLUMNS, self.key, (("theta", NO_TILT),))
         names = rows.names()
         own = tuple(name for name in ETAS if name in names[4:])
-        rows = replace(rows, columns=(*COLUMNS, *own[: 1 if "eta" in own else 2]))
+        own = own[: 1 if "eta" in own else 2] + tuple(name for name in TURNS if name in names[4:])
+        rows = replace(rows, columns=(*COLUMNS, *own))
         made = np.full((*self.lattice.count, len(rows.columns) - 2), np.nan)
         for block in rows.blocks():
             self._enter(made, block, rows)
-        made = self._whole(made, rows.columns[4:])
-        return CellNumbers(
-            made[..., :2], self._of_both(dict(zip(rows.columns[4:], np.moveaxis(made, -1, 0)[2:])))
-        )
+        made = self._whole(made, own)
+        return self._of_all(made[..., :2], dict(zip(own, np.moveaxis(made, -1, 0)[2:])))
 
-    def _of_both(self, etas: Mapping[str, Floats]) -> Floats | None:
-        """η as `CellNumbers` has them; an axis without a column or an array has the law's."""
-        if not etas or "eta" in etas:
-            return etas.get("eta")
-        whole = [np.full(self.lattice.count, one) for one in self.eta]
-        return np.stack([etas.get(f"eta_{axis}", one) for axis, one in zip("xy", whole)], axis=-1)
+    def _of_all(self, deltas: Floats, others: Mapping[str, Floats]) -> CellNumbers:
+        """Numbers of δ, and of `others` by their names; an axis or an angle that none of them names has the
+        law's.
+        """
+
+        def together(*names: str) -> Floats | None:
+            if others.keys().isdisjoint(names):
+                return None
+            law = {name: np.full(self.lattice.count, self.law[name]) for name in names}
+            return np.stack([others.get(name, law[name]) for name in names], axis=-1)
+
+        euler = together("phi", "theta", "psi")
+        if euler is not None and self.euler[1] != 0.0:
+            why = "phi and psi of each cell: tilted lenses would each lean towards another side"
+            self.refuse(why, allowed=f"law.euler with theta = 0, found {self.euler[1]:g} deg")
+        etas = others["eta"] if "eta" in others else together("eta_x", "eta_y")
+        return CellNumbers(deltas, etas, euler)
 
     def _enter(self, made: Floats, block: RowBlock, rows: NumberRows) -> None:
         """Write the numbers of a block of rows to their cells."""
         numbers, lines, first = block
         n1, n2 = self.lattice.count
+        less = " less j // 2, as hexagons are counted" if self.lattice.hexagonal else ""
         whole = (numbers[:, :2] == np.rint(numbers[:, :2])) & (np.abs(numbers[:, :2]) < 2.0**53)
         index: Ints = np.where(whole, numbers[:, :2], -(2.0**53)).astype(np.int64)
         place, j = places_in_rows(self.lattice, index), index[:, 1]
@@ -265,7 +286,7 @@ class TableFile:
             (~whole[:, 0], 0, "i is no whole number", "a whole number"),
             (~whole[:, 1], 1, "j is no whole number", "a whole number"),
             (outside[:, 1], 1, "j lies outside the sheet", f"0 to {n2 - 1}"),
-            (outside[:, 0], 0, "i lies outside the sheet", f"0 to {n1 - 1}" + self._less_rows()),
+            (outside[:, 0], 0, "i lies outside the sheet", f"0 to {n1 - 1}" + less),
             *(
                 (~self._has_lens(numbers[:, k], name), k, f"{name} is out of range", self._allowed(name))
                 for k, name in enumerate(rows.columns[2:], 2)
@@ -291,9 +312,6 @@ class TableFile:
             )
         made[place, j] = numbers[:, 2:]
 
-    def _less_rows(self) -> str:
-        return " less j // 2, as hexagons are counted" if self.lattice.hexagonal else ""
-
     def _whole(self, made: Floats, names: Sequence[str]) -> Floats:
         """Numbers of every cell, 0 and the law's η where it is not kept; refuse a kept one without any."""
         missing = np.isnan(made[..., 0])
@@ -306,12 +324,12 @@ class TableFile:
                     f"cell ({lacking[0, 0]}, {j}) is missing",
                     allowed=f"a row for each of {self.lattice.cell_count:,} cells",
                 )
-        return np.where(missing[..., None], (0.0, 0.0, *(self.eta[ETAS[name][0]] for name in names)), made)
+        return np.where(missing[..., None], (0.0, 0.0, *(self.law[name] for name in names)), made)
 
     def _has_lens(self, eta: Floats, name: str) -> Bools:
-        """Whether each η (...) gives lenses of the law's signs, or each δ is not too large."""
+        """Whether each η (...) gives lenses of the law's signs, or each δ or angle is not too large."""
         if name not in ETAS:
-            return np.asarray(np.abs(eta) <= LARGEST)  # False for NaN
+            return np.asarray(np.abs(eta) <= (LARGEST_TURN if name in TURNS else LARGEST))  # False for NaN
         low, high = _eta_range(self.eta[axis] for axis in ETAS[name])
         size = np.abs(eta)
         return np.asarray((low < eta) & (eta < high) & (size >= LEAST_ETA) & (size <= LARGEST))
@@ -319,14 +337,15 @@ class TableFile:
     def _allowed(self, name: str) -> str:
         """Describe the numbers that a column or an array may have."""
         if name not in ETAS:
-            return f"a number from -{LARGEST:g} to {LARGEST:g}"
+            most, unit = (LARGEST_TURN, " of degrees") if name in TURNS else (LARGEST, "")
+            return f"a number{unit} from -{most:g} to {most:g}"
         low, high = _eta_range(self.eta[axis] for axis in ETAS[name])
         if low >= high:
             return "eta_x and eta_y: those of law.eta lie on two sides of 0 or 1, where no one number does"
         low, high = max(low, -LARGEST), min(high, LARGEST)
         return (
             f"a number between {low:g} and {high:g}, |{name}| >= {LEAST_ETA:g}: both lenses as law.eta ="
-            f" {self.eta[ETAS[name][0]]:g} bends them"
+            f" {self.law[name]:g} bends them"
         )
 
     # --- NPZ ------------------------------------------------------------------------------------------
@@ -342,7 +361,8 @@ class TableFile:
             with zipfile.ZipFile(self.path) as archive:
                 names = archive.namelist()
                 deltas = self._entry(archive, names, ARRAY)
-                etas = {name: one for name in ETAS if (one := self._entry(archive, names, name)) is not None}
+                each = ((name, self._entry(archive, names, name)) for name in (*ETAS, *TURNS))
+                others = {name: one for name, one in each if one is not None}
         except (
             zipfile.BadZipFile,
             zlib.error,
@@ -356,11 +376,11 @@ class TableFile:
             )
         if deltas is None:
             self.refuse(f"no array {ARRAY!r} in the archive", allowed=self._shapes())
-        own = [name for name in etas if name == "eta" or "eta" not in etas]
-        others = [name for name in names if name.removesuffix(".npy") not in (ARRAY, *own)]
-        if others:  # an ignored array would seem to be built
+        own = [name for name in others if name in ("eta", *TURNS) or "eta" not in others]
+        unread = [name for name in names if name.removesuffix(".npy") not in (ARRAY, *own)]
+        if unread:  # an ignored array would seem to be built
             self.refuse(
-                f"{printable(others[0])[:100]} is none of the arrays that are read", allowed=self._shapes()
+                f"{printable(unread[0])[:100]} is none of the arrays that are read", allowed=self._shapes()
             )
         bad = ~(np.abs(deltas) <= LARGEST)
         if bad.any():
@@ -369,8 +389,7 @@ class TableFile:
                 f"delta[{i}, {j}, {axis}] = {deltas[i, j, axis]} is out of range",
                 allowed=f"numbers from -{LARGEST:g} to {LARGEST:g}",
             )
-        kept = {name: self._kept_etas(each, name) for name, each in etas.items()}
-        return CellNumbers(deltas, self._of_both(kept))
+        return self._of_all(deltas, {name: self._of_kept(one, name) for name, one in others.items()})
 
     def _entry(self, archive: zipfile.ZipFile, names: list[str], name: str) -> Floats | None:
         """One array of the archive; None where no array has this name."""
@@ -382,8 +401,8 @@ class TableFile:
         with archive.open(found[0]) as stream:
             return self._array(stream, name)
 
-    def _kept_etas(self, etas: Floats, name: str) -> Floats:
-        """η of every cell, the law's for cells that are not kept; refuse a kept cell with η out of range."""
+    def _of_kept(self, etas: Floats, name: str) -> Floats:
+        """Numbers of every cell, the law's where none is kept; refuse a kept one with one out of range."""
         lensed = self._has_lens(etas, name)
         for j in np.flatnonzero((~lensed).any(axis=0)).tolist():
             places = places_in_rows(self.lattice, self.lattice.row(j))
@@ -391,7 +410,7 @@ class TableFile:
             if len(bad):
                 why = f"{name}[{bad[0]}, {j}] = {etas[bad[0], j]} is out of range"
                 self.refuse(why, allowed=self._allowed(name))
-        return np.where(lensed, etas, self.eta[ETAS[name][0]])
+        return np.where(lensed, etas, self.law[name])
 
     def _array(self, stream: IO[bytes], name: str) -> Floats:
         wanted = (*self.lattice.count, 2) if name == ARRAY else tuple(self.lattice.count)
@@ -414,4 +433,5 @@ class TableFile:
 
     def _shapes(self) -> str:
         n1, n2 = self.lattice.count
-        return f"array {ARRAY!r} ({n1}, {n2}, 2) of numbers, C order; perhaps {', '.join(ETAS)} ({n1}, {n2})"
+        more = ", ".join((*ETAS, *TURNS))
+        return f"array {ARRAY!r} ({n1}, {n2}, 2) of numbers, C order; perhaps {more} ({n1}, {n2})"

@@ -108,8 +108,8 @@ def _lit_by_cell(cells: ThinCells, direction: Floats, order: NDArray[np.int32], 
     assert ratio is not None  # the caller has checked it
     widths = np.empty((len(index), 2))
     for scale in np.unique(ratio, axis=0):
-        here = (ratio == scale).all(axis=1)
-        widths[here] = lit_widths(replace(cells, image=cells.image * scale), direction[here], order[here])
+        here = (ratio == scale).all(axis=(1, 2))
+        widths[here] = lit_widths(replace(cells, image=cells.image @ scale.T), direction[here], order[here])
     return widths
 
 

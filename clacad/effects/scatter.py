@@ -65,8 +65,10 @@ def _by_cell(window: Window, cell: Ints, slope_rms: float) -> Floats:
     scale = scale_of_image(cells, cell)
     assert scale is not None  # the caller has checked it
     one, two = (faces_of_lens(window, array) for array in (0, 1))
-    ratio = scale * np.array(focal_ratio(window.thin))
-    return np.asarray((index - 1.0) * slope_rms * np.sqrt(two + one / ratio**2))
+    shrunk = np.linalg.inv(
+        scale * np.array(focal_ratio(window.thin))
+    )  # slope behind lens 2 per slope at lens 1
+    return np.asarray((index - 1.0) * slope_rms * np.sqrt(two + one * (shrunk**2).sum(axis=2)))
 
 
 def faces_of_lens(window: Window, array: int) -> int:

@@ -349,6 +349,8 @@ def _differences(window: Window, cell: tuple[int, int]) -> str:
         eta = laws.ratios_of(window.lattice, cells) - laws.ratios_of(window.lattice, own)
         found["{:.3g} in δ"] = float(np.hypot(*delta.T).max())
         found["{:.3g} in η"] = float(np.abs(eta).max())
+        turns = laws.angles_of(window.lattice, cells) - laws.angles_of(window.lattice, own)
+        found["{:.3g}° in their lens axes"] = degrees(float(np.abs(turns).max()))
     return ", ".join(text.format(most) for text, most in found.items() if most > NO_DIFFERENCE) or "nothing"
 
 

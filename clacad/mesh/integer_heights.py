@@ -20,7 +20,7 @@ from clacad.base.arrays import distinct
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.surface.intersection import meet
 from clacad.sheet.pattern import Step
-from clacad.sheet.window import Body, Face, Window, lens_height
+from clacad.sheet.window import Body, Face, Window, lens_height, lenses_of
 from clacad.topology.borders import roots_between
 from clacad.topology.complex_parts import CellComplex, Tiling, linked
 
@@ -193,9 +193,7 @@ class CellLevels:
                 x, y, z = places.apex
                 size = 1.0 if places.size is None else places.size
                 p, q = np.broadcast_arrays((xy[:, 0] - x) / size, (xy[:, 1] - y) / size)
-                lens = face.simplified
-                if places.aspect is not None:
-                    lens = replace(face, surface=places.shape(face.surface, p.shape))
+                lens = lenses_of(face.simplified, places, p.shape)
                 out[..., n] = z + size * _over_apex(lens, p, q)
         return out
 
@@ -232,11 +230,11 @@ def _over_apex(face: Face, x: Floats, y: Floats) -> Floats:
     if face.untilted:
         alone = replace(face, vertex=(0.0, 0.0, 0.0))
         return lens_height(alone, x.ravel(), y.ravel()).reshape(x.shape)
-    start = np.stack([x * across + y * along for across, along in face.rotation[:2].T], axis=-1)
-    start = start.reshape(-1, 3)
-    met = meet(face.surface, start, np.broadcast_to(face.rotation[2], start.shape).copy())
+    x_axis, y_axis, up = np.moveaxis(face.rotation, -2, 0)
+    start = x.reshape(-1, 1) * x_axis + y.reshape(-1, 1) * y_axis
+    met = meet(face.surface, start, np.broadcast_to(up, start.shape).copy())
     with np.errstate(invalid="ignore"):
-        above = (met.gradient * face.rotation[2]).sum(axis=-1) > 0.0
+        above = (met.gradient * up).sum(axis=-1) > 0.0
     return np.where(above & np.isfinite(met.distance), met.distance, np.nan).reshape(x.shape)
 
 

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from clacad.base.pairs import pair, pair_product, pair_sum, two_product, two_sum
 from clacad.base.types import Bools, Floats
+from clacad.base.vectors import to_sheet, to_surface
 from clacad.optics.rays import NO_CELL, Fate, OneRay, Rays, TraceResult, as_rays
 from clacad.optics.surface import ULP, Surface, meet_at, refract
 
@@ -253,19 +254,6 @@ def inside(aperture: Aperture, point: Floats) -> Bools:
     u, v = np.abs(point[:, 0] / half_x), np.abs(point[:, 1] / half_y)
     with np.errstate(over="ignore", invalid="ignore"):
         return np.asarray(np.maximum(u, v) <= 1 if kind == "rectangle" else u * u + v * v <= 1)
-
-
-def to_sheet(rotation: Floats | None, rows: Floats) -> Floats:
-    """Rows (n, 3) rotated from surface axes to sheet axes; summed in a fixed order for any number of rows."""
-    if rotation is None:
-        return rows
-    x, y, z = rows[:, 0], rows[:, 1], rows[:, 2]
-    return np.stack([r[0] * x + r[1] * y + r[2] * z for r in rotation], axis=-1)
-
-
-def to_surface(rotation: Floats | None, rows: Floats) -> Floats:
-    """Rows (n, 3) rotated from sheet axes to surface axes."""
-    return rows if rotation is None else to_sheet(rotation.T, rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,8 @@ their own lens plane, which is not the sheet's: the rise of a lens is that of D_
 confocal. Lens 1 stays centred: shared between both lenses, the decentre would cause more coma. Off its vertex
 lens 2 refracts its light too far, by 6 mrad at a slope of .125 and R2/p = 5, which is why it is moved.
 
-Lenses of a sheet with an η per cell are those of the sheet's law, scaled in each cell.
+Lenses of a sheet with an η per cell are those of the sheet's law, scaled in each cell. With an angle per cell
+each lens, and its offset, is turned about z.
 
 All pairs share one separation s and are afocal at it: f1 = s/(1 − η), f2 = −η f1 along each axis. A lens of
 another focal length has the same shape (conic constants included), scaled by k, which is that of the axis x;
@@ -103,6 +104,7 @@ class Targets:
     deltas : (n, 2). δ of each law.
     slopes : (n, 2). Slopes in air of the chief rays, sheet frame.
     sizes : None: one η, and one size of lenses.
+    turns : (n, 3, 3) or None. Lens → sheet of each cell; None: the sheet's in all.
     key : Key of the design that errors name.
     """
 
@@ -110,6 +112,7 @@ class Targets:
     deltas: Floats
     slopes: Floats
     sizes: CellSizes | None
+    turns: Floats | None = None
     key: str = LAW.varying
 
 
@@ -147,7 +150,7 @@ def with_own_cells(window: Window, design: Design, field: FieldCells | None = No
         focal = window.recipe["f"][0] if field is None or field.focal is None else field.focal
         if inclined:
             focal = chief_focal_lengths(design, window.recipe["T"], window.recipe["n"], window.recipe["s"])
-        table = _by_rule(window, targets.deltas, np.array(focal), lens_turn, ratio)
+        table = _by_rule(window, targets, np.array(focal), lens_turn, ratio)
         if inclined:  # lenses 2 follow their cells
             table = table - _followed(placed.placements[1], placed, targets.cells)
         _refuse_far(placed, targets, table, aims)
@@ -219,13 +222,15 @@ def _targets(placed: Window, design: Design, aim: AimPoint | None) -> Targets:
     cells = lattice.cells()
     slopes = aperture_slopes(placed, cells) if aim is None else aim.slopes(lattice.centres(cells))
     deltas = (CellLaws(placed.law) if laws is None else laws).deltas(lattice, cells)
-    sizes = None if laws is None or laws.ratios is None else sizes_of(placed, design, laws)
+    sizes = None if laws is None or not laws.own_lenses else sizes_of(placed, design, laws)
+    turns = None if laws is None else laws.rotations_of(lattice, cells)
     if design.pair.focus is not None and placed.law.theta != 0.0:
         built, thin = (
             _both(np.stack([size, np.ones(len(size))])) for size in inclined_sizes(placed, design, cells)
         )
-        return Targets(cells, deltas, slopes, CellSizes(built, thin, np.ones((len(cells), 2))), PAIR.focus)
-    return Targets(cells, deltas, slopes, sizes)
+        sizes = CellSizes(built, thin, np.ones((len(cells), 2)))
+        return Targets(cells, deltas, slopes, sizes, key=PAIR.focus)
+    return Targets(cells, deltas, slopes, sizes, turns)
 
 
 def _light(window: Window, targets: Targets, first: Floats, slope: Pair2, aims: bool) -> CellLight:
@@ -240,35 +245,41 @@ def _light(window: Window, targets: Targets, first: Floats, slope: Pair2, aims: 
         asked = asked / np.linalg.norm(asked, axis=-1, keepdims=True)
         return CellLight(targets.slopes, asked, first, targets.slopes)
     etas = None if laws.ratios is None else laws.ratios_of(window.lattice, targets.cells)
-    asked = refract_each(window.law, targets.deltas, light, etas)
+    asked = refract_each(window.law, targets.deltas, light, etas, targets.turns)
     oblique = aims or window.placements[1].own
     variables = [targets.slopes] if oblique else []
-    placed_alone = targets.sizes is not None and etas is None  # lenses and laws follow from the place alone
+    placed_alone = (
+        targets.sizes is not None and not laws.own_lenses
+    )  # lenses and laws follow from the place alone
     if not placed_alone and (laws.smooth is None or not oblique):
         variables.append(targets.deltas)
     own = None
     if etas is not None:
         variables.append(etas if (etas[:, 0] != etas[:, 1]).any() else etas[:, :1])
+    if targets.turns is not None:
+        variables.append(targets.turns[:, :2, 0])
     if targets.sizes is not None:
-        ratio = np.full((len(targets.cells), 2), window.law.eta_x) if etas is None else etas
+        ratio = np.full((len(targets.cells), 2), ratios_of(window.law)) if etas is None else etas
         field = None if targets.sizes.field is None else targets.sizes.field.size
         fill = np.minimum(1.0, 1.0 / np.abs(ratio).max(axis=1))
-        own = OwnLenses(*_scales(targets.sizes.built), fill, field)
+        own = OwnLenses(*_scales(targets.sizes.built), fill, field, targets.turns)
     return CellLight(targets.slopes, asked, first, np.column_stack(variables), targets.key, slope, own)
 
 
-def _by_rule(window: Window, deltas: Floats, focal: Floats, turn: Floats, size: Floats | None) -> Floats:
+def _by_rule(window: Window, targets: Targets, focal: Floats, turn: Floats, size: Floats | None) -> Floats:
     """Displacement (n, 2) of lens 2, lengths, by d = δ f1 from δ (n, 2).
 
     `focal` (2,) is f1 of the law, turn (3, 3) lens → sheet, `size` (n, 2) the ratio of each cell's f1 to the
     law's; None: 1.
     """
-    law = window.law
+    law, deltas = window.law, targets.deltas
     if size is not None:
         deltas = deltas * size
     over = deltas - (law.delta_x, law.delta_y)
     lens = np.where(over == 0.0, 0.0, over * np.where(np.isfinite(focal), focal, 0.0))
-    return np.asarray(lens @ turn[:2, :2].T)
+    if targets.turns is None:
+        return np.asarray(lens @ turn[:2, :2].T)
+    return np.asarray(np.einsum("nij,nj->ni", targets.turns[:, :2, :2], lens))  # a table's law has no offset
 
 
 # -- lenses --------------------------------------------------------------------------------------------
@@ -334,7 +345,7 @@ def _thin(window: Window, targets: Targets, inclined: bool) -> ThinPair:
     pair, sizes = window.thin, targets.sizes
     ratio = None if sizes is None or inclined else sizes.thin[0]
     focal = thin_pair(ratios_of(window.law), pair.separation)[0] if inclined else pair.focal_length[0]
-    ideal = _by_rule(window, targets.deltas, np.array(focal), pair.rotation, ratio)
+    ideal = _by_rule(window, targets, np.array(focal), pair.rotation, ratio)
     if inclined:
         ideal = ideal - _followed(pair.second, window, targets.cells)
     size: list[dict[str, Any]] = [{}, {}] if sizes is None else _tables(window, targets, sizes.thin)
@@ -357,13 +368,18 @@ def _change(
 
 
 def _tables(window: Window, targets: Targets, sizes: Floats) -> list[dict[str, Any]]:
-    """Size, and aspect where it differs from 1, of both lenses as `VertexChange` has them."""
-    size, aspect = (
-        None if one is None else [as_table(window.lattice, targets.cells, each, 1.0) for each in one]
-        for one in _scales(sizes)
-    )
-    assert size is not None
-    return [{"size": size[k]} | ({} if aspect is None else {"aspect": aspect[k]}) for k in (0, 1)]
+    """Size, aspect where it differs from 1, and lens axes of both lenses as `VertexChange` has them."""
+    size, aspect = _scales(sizes)
+    each = {"size": size, "aspect": aspect, "rotation": targets.turns}
+    made = [
+        {
+            name: as_table(window.lattice, targets.cells, one if name == "rotation" else one[k], 1.0)
+            for name, one in each.items()
+            if one is not None
+        }
+        for k in (0, 1)
+    ]
+    return made
 
 
 def _both(values: Floats) -> Floats:
@@ -382,12 +398,16 @@ def _refuse_far(window: Window, targets: Targets, table: Floats, aims: bool) -> 
     if window.cell_laws is None:
         return  # the steepest cell is known without tables
     cells = targets.cells
-    half = window.lattice_of(1).tile().max(axis=0)
+    half = tile = window.lattice_of(1).tile().max(axis=0)
     for face in window.faces:
         if face.array != 1:
             continue
         still = 0.0 if face.change is None else face.change.at(window.lattice, cells)
-        place = np.abs(np.asarray(face.vertex[:2]) + (still + table)) + half
+        at = np.asarray(face.vertex[:2]) + (still + table)
+        if targets.turns is not None:  # along the lens axes
+            own = targets.turns[:, :2, :2]
+            at, half = np.einsum("nij,ni->nj", own, at), np.einsum("nij,i->nj", np.abs(own), tile)
+        place = np.abs(at) + half
         curved = np.broadcast_to(np.abs([face.surface.curvature_x, face.surface.curvature_y]), place.shape)
         if targets.sizes is not None:
             curved = curved / targets.sizes.built[1]
@@ -395,8 +415,8 @@ def _refuse_far(window: Window, targets: Targets, table: Floats, aims: bool) -> 
         worst = np.unravel_index(int(np.argmax(steep)), steep.shape)
         if not steep[worst] <= STEEPEST:
             (i, j), axis = cells[worst[0]].tolist(), int(worst[1])
-            own = half[axis] * curved[worst]
-            over = (steep[worst] - own) / (STEEPEST - own)
+            own_steep = np.broadcast_to(half, place.shape)[worst] * curved[worst]
+            over = (steep[worst] - own_steep) / (STEEPEST - own_steep)
             most = abs(float(targets.deltas[worst[0], axis]))
             way = (
                 WAY_OUT
@@ -426,9 +446,9 @@ def sizes_of(window: Window, design: Design, laws: CellLaws) -> CellSizes:
     cells = window.lattice.cells()
     etas = laws.ratios_of(window.lattice, cells)
     thin, thick = thin_sizes(etas, np.array(ratios_of(window.law))), thick_lenses(design)
-    _refuse_axes(window, thin)
+    _refuse_axes(window, thin, laws)
     if design.pair.form == "biconvex":
-        _refuse_steps(window, cells, etas)
+        _refuse_steps(window, cells, _along_sheet(etas, laws.rotations_of(window.lattice, cells)))
     if window.field_array:
         one, over, field = _with_plates(window, design, cells, etas[:, 0], thick)
         built, focal = _both(one), _both(over)
@@ -487,8 +507,25 @@ def thin_sizes(etas: Floats, eta: Floats) -> Floats:
     return np.stack([first, first * (etas / eta)])
 
 
-def _refuse_axes(window: Window, sizes: Floats) -> None:
+def _along_sheet(etas: Floats, turns: Floats | None) -> Floats:
+    """η (n, 2) along the lens axes as the entries xx, yy and xy (n, 3) of its matrix along the sheet's."""
+    if turns is None:
+        return etas
+    (xx, xy), (_, yy) = np.moveaxis(
+        (turns[:, :2, :2] * etas[:, None]) @ turns[:, :2, :2].swapaxes(1, 2), 0, 2
+    )
+    return np.stack([xx, yy, xy], axis=1)
+
+
+def _refuse_axes(window: Window, sizes: Floats, laws: CellLaws) -> None:
     """Refuse lenses whose two axes differ otherwise than those of the sheet's law, where none are made."""
+    if window.field_array and laws.angles is not None and window.law.eta_x != window.law.eta_y:
+        raise NoSuchLens(
+            "cells turned by phi and psi each would cut across the cylinders of the field lens",
+            SIZES_KEY,
+            "field_lens = false, or eta_x = eta_y",
+            "CL127",
+        )
     if np.array_equal(sizes[..., 0], sizes[..., 1]):
         return
     even = any(isinstance(face.surface, EvenPolynomial) for face in window.faces)
@@ -559,9 +596,9 @@ def _worst_step(window: Window, cells: Ints, each: Floats) -> tuple[float, Ints]
 
 
 def _refuse_steps(window: Window, cells: Ints, each: Floats) -> None:
-    """Refuse biconvex neighbours whose η (n, 2) differ by more than `STEP`, naming the worst."""
+    """Refuse biconvex neighbours whose η (n, 2), or its matrix (n, 3), differ by more than `STEP`."""
     found = [_worst_step(window, cells, etas) for etas in each.T]
-    axis = int(found[1][0] > found[0][0])
+    axis = int(np.argmax([one[0] for one in found]))
     (apart, pair), etas = found[axis], each[:, axis]
     if apart > STEP * (1.0 + ROUNDED) + ROUNDED:
         (i, j), (k, m) = pair.tolist()

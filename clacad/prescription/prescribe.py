@@ -101,6 +101,8 @@ def design_of_cell(design: Design, window: Window, cell: tuple[int, int]) -> Des
     varying = law.pop("varying", None) is not None
     if varying or sharp or placed:
         law |= {"eta": [own.eta_x, own.eta_y], "delta": [own.delta_x, own.delta_y]}
+    if window.cell_laws is not None and window.cell_laws.angles is not None:
+        law["euler"] = np.degrees([own.phi, own.theta, own.psi]).tolist()
     if isinstance(aimed, AimedAt):
         x, y, z = aimed.point
         at_x, at_y = window.centres(0, np.array(cell)).tolist()

@@ -20,6 +20,7 @@ import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints, Pair2
+from clacad.base.vectors import to_sheet, to_surface
 from clacad.design.sections import LATTICE
 from clacad.optics.rays import Fate
 from clacad.optics.sequence import Interface, cross, launch, pass_on, unit_directions
@@ -90,18 +91,21 @@ class OwnLenses:
     aspect : (2, m) or None. Curvature of both along y over that of the scaled lens; None: 1 for all.
     fill : (m,). Part of the cell whose light lens 2 can accept.
     field : (k, m) or None. Scale factors of the faces of the field lens, in the order of the light.
+    turns : (m, 3, 3) or None. Lens → sheet of both lenses, untilted; None: the window's.
     """
 
     sizes: Floats
     aspect: Floats | None
     fill: Floats
     field: Floats | None = None
+    turns: Floats | None = None
 
     def of(self, rows: Ints) -> OwnLenses:
         """Lenses of some cells, by their indices (k,) in the list."""
         field = None if self.field is None else self.field[:, rows]
         aspect = None if self.aspect is None else self.aspect[:, rows]
-        return OwnLenses(self.sizes[:, rows], aspect, self.fill[rows], field)
+        turns = None if self.turns is None else self.turns[rows]
+        return OwnLenses(self.sizes[:, rows], aspect, self.fill[rows], field, turns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,14 +232,7 @@ def _solved(window: Window, light: CellLight, start: Floats | None = None) -> Fl
     slopes, asked = light.slopes, light.asked
     if not np.isfinite(asked).all():
         raise NoSuchLens("the law gives no direction for light of this slope", light.key, code="CL123")
-    focal = np.array(window.thin.focal_length[1])
-    inverse = np.zeros((len(slopes), 2, 2))
-    turned = window.thin.rotation[:2, :2]
-    inverse[:] = turned @ np.diag(np.where(np.isfinite(focal), focal, 0.0)) @ turned.T
-    if light.own is not None:
-        inverse *= light.own.sizes[1][:, None, None]
-        if light.own.aspect is not None:
-            inverse[:, :, 1] /= light.own.aspect[1][:, None]
+    inverse = _paraxial(window, light)
     allowed = BRACKET * min(window.lattice.pitch) + SHARE * np.abs(light.first).max(axis=1)
     move = np.clip(0.0 if start is None else start, -allowed[:, None], allowed[:, None]) + np.zeros((1, 2))
     error = _bias(seq, owners, points, light, light.first + move)
@@ -263,6 +260,19 @@ def _solved(window: Window, light: CellLight, start: Floats | None = None) -> Fl
     )
 
 
+def _paraxial(window: Window, light: CellLight) -> Floats:
+    """Moves of lens 2 per change of the exit slope (m, 2, 2): its focal lengths along its axes, lengths."""
+    own, focal = light.own, np.array(window.thin.focal_length[1])
+    focal = np.tile(np.where(np.isfinite(focal), focal, 0.0), (len(light.slopes), 1))
+    turned = window.thin.rotation[:2, :2]
+    if own is not None:
+        focal *= own.sizes[1][:, None]
+        if own.aspect is not None:
+            focal[:, 1] /= own.aspect[1]
+        turned = turned if own.turns is None else own.turns[:, :2, :2]
+    return np.asarray((turned * focal[:, None]) @ turned.swapaxes(-1, -2))
+
+
 def _broyden(inverse: Floats, step: Floats, change: Floats) -> Floats:
     """Updated inverse Jacobians (m, 2, 2) that map the last changes (m, 2) to the last steps (m, 2)."""
     seen = np.einsum("kij,kj->ki", inverse, change)
@@ -285,6 +295,7 @@ def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLi
     offset, travelled = launch(start, scaled, seq[0].vertex)
     slide = np.repeat(_slides(owners, move, light), n, axis=1)
     sizes = _sizes(owners, light, n)
+    turn = None if light.own is None or light.own.turns is None else np.repeat(light.own.turns, n, axis=0)
     for k, interface in enumerate(seq):
         if k:
             offset, travelled = pass_on(offset, seq[k - 1].vertex, interface.vertex), np.zeros(m * n)
@@ -293,10 +304,13 @@ def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLi
         if light.own is not None and light.own.aspect is not None and owners[k] != FIELD:
             aspect = np.repeat(light.own.aspect[owners[k]], n)
             interface = replace(interface, surface=stretched(interface.surface, aspect))
-        crossing = cross(interface, offset / size, direction, travelled / size[..., 0])
+        if turn is not None:  # every face is crossed in the axes of its lens
+            interface = replace(interface, rotation=None)
+        at, ray = to_surface(turn, offset / size), to_surface(turn, direction)
+        crossing = cross(interface, at, ray, travelled / size[..., 0])
         offset, direction = (
-            crossing.offset * size,
-            np.where((crossing.fate == Fate.ALIVE)[:, None], crossing.direction, np.nan),
+            to_sheet(turn, crossing.offset) * size,
+            np.where((crossing.fate == Fate.ALIVE)[:, None], to_sheet(turn, crossing.direction), np.nan),
         )
     mean = _unit(direction.reshape(m, n, 3).mean(axis=1))
     return np.asarray((mean - asked)[:, :2])

@@ -69,6 +69,8 @@ def _smooth_sum(
 ) -> tuple[float, float] | None:
     """As `lens_integrals`, interpolated between lenses of a grid of places; None where that does not pay."""
     assert places.moved is not None
+    if places.rotation is not None:
+        return None
     changes = [one for one in (places.size, places.aspect) if one is not None]
     at = np.column_stack([places.moved, *changes])
     knots, grid = _grid_of_places(at, degree)
@@ -126,7 +128,10 @@ def _over_zone(face: Face, places: LensPlaces, zone: Sequence[Region]) -> tuple[
             places.vertex,
             places.moved[some, None],
             np.broadcast_to(places.rise, made[0].shape)[some, None],
-            *(None if one is None else one[some, None] for one in (places.size, places.aspect)),
+            *(
+                None if one is None else one[some, None]
+                for one in (places.size, places.aspect, places.rotation)
+            ),
         )
         heights = heights_of_lenses(face, part, *points.T[:, None])
         made[:, some] = weights @ heights.T

@@ -14,7 +14,7 @@ centres are therefore formed exactly (`Lattice.locate`), at any distance from th
 its cells, and with them their lenses, rotated about its centre. Local coordinates in a cell and the axes of
 lenses stay along the sheet's axes.
 
-Law of each cell in sheets where cells have their own offset δ, and possibly their own η.
+Law of each cell in sheets where cells have their own offset δ, and possibly their own η and lens axes.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike
 from clacad.base.pairs import Pair, pair, pair_sum, two_product
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.optics.law.focusing import Gradient, VaryingLaw, ratios_of, refract_each
+from clacad.optics.law.orientation import rotations
 from clacad.sheet.pattern import cosine_and_sine, turned, turned_pairs
 
 if TYPE_CHECKING:
@@ -37,6 +38,10 @@ if TYPE_CHECKING:
 
 DIRECTIONS = 64
 """Number of directions in which the farthest lenses are searched."""
+
+_OVER_Z = np.array([[1.0, 1.0, -1.0], [1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
+_ABOUT_X = np.array([[1.0, -1.0, -1.0], [-1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
+"""Signs of a rotation whose two frames are mirrored in z, or turned by 180 degrees about x."""
 
 NO_REST = 1e-15
 """Displacement per displacement that is rounding error."""
@@ -157,6 +162,7 @@ class LensPlaces:
     rise : (...) lengths. Displacement of the apexes along z.
     size : (...) or None. Scale factor k; None: 1 for all.
     aspect : (...) or None. Curvature along y over that of the scaled lens; None: 1 for all.
+    rotation : (..., 3, 3) or None. Lens → sheet of each; None: the face's.
     """
 
     vertex: tuple[float, float, float]
@@ -164,6 +170,14 @@ class LensPlaces:
     rise: Floats | float = 0.0
     size: Floats | None = None
     aspect: Floats | None = None
+    rotation: Floats | None = None
+
+    def axes(self, rotation: Floats | None, like: tuple[int, ...] | None = None) -> Floats | None:
+        """Lens → sheet of the lenses, `rotation` of the face where they have none; `like` as in `shape`."""
+        if self.rotation is None:
+            return rotation
+        shape = self.rotation.shape[:-2] if like is None else like
+        return np.broadcast_to(self.rotation, (*shape, 3, 3)).reshape(-1, 3, 3)
 
     def shape(self, surface: Surface, like: tuple[int, ...] | None = None) -> Surface:
         """Surface of the lenses before they are scaled; `like`: one for each point of arrays of this
@@ -221,6 +235,8 @@ class VertexChange:
         Scale factor of each cell's lens relative to the face's lens; indexed as `table`. None: 1 for all.
     aspect : (n1, n2) array or None
         Curvature along y of each cell's lens over that of the scaled one; only with `size`.
+    rotation : (n1, n2, 3, 3) array or None
+        Lens → sheet of each cell's lens in place of the face's; only with `size`.
     climb : (along x, along y). Additional rise in z per displacement of the cell's centre in the lattice: of
         lenses that do not move as their cells do.
     lift : (n1, n2) array or None, lengths. Additional rise of each cell's lens; indexed as `table`.
@@ -233,6 +249,7 @@ class VertexChange:
     climb: Pair2 = (0.0, 0.0)
     lift: Floats | None = None
     aspect: Floats | None = None
+    rotation: Floats | None = None
 
     def at(self, lattice: Lattice, index: Ints) -> Floats:
         """Displacement (..., 2), lengths, of cells `index` (..., 2); 0 for cells left out of a table."""
@@ -250,7 +267,11 @@ class VertexChange:
     def mirrored(self) -> VertexChange:
         """Displacements of the lenses of a sheet turned over in z."""
         (a, b), (c, d) = self.slope, self.climb
-        return replace(self, slope=(-a, -b), climb=(-c, -d), lift=None if self.lift is None else -self.lift)
+        lift, turn = (
+            None if one is None else one * signs
+            for one, signs in ((self.lift, -1.0), (self.rotation, _OVER_Z))
+        )
+        return replace(self, slope=(-a, -b), climb=(-c, -d), lift=lift, rotation=turn)
 
     @property
     def turned(self) -> VertexChange:
@@ -264,6 +285,7 @@ class VertexChange:
             None if self.size is None else self.size[:, ::-1],
             (0.0 - c, d),
             aspect=None if self.aspect is None else self.aspect[:, ::-1],
+            rotation=None if self.rotation is None else self.rotation[:, ::-1] * _ABOUT_X,
         )
 
     def rise(self, lattice: Lattice, index: Ints, moved: Floats) -> Floats:
@@ -283,7 +305,8 @@ class VertexChange:
         size, aspect = (
             None if one is None else tabled(one, lattice, index, 1.0) for one in (self.size, self.aspect)
         )
-        return LensPlaces(vertex, moved, self.rise(lattice, index, moved), size, aspect)
+        turn = None if self.rotation is None else tabled(self.rotation, lattice, index, np.eye(3))
+        return LensPlaces(vertex, moved, self.rise(lattice, index, moved), size, aspect, turn)
 
     def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> VertexChange:
         """Displacements of `count` cells in the centre of the lattice; a table is cut to them.
@@ -340,7 +363,7 @@ def as_table(lattice: Lattice, cells: Ints, each: Floats, beyond: float = 0.0) -
     return table
 
 
-def tabled(table: Floats, lattice: Lattice, index: Ints, beyond: float) -> Floats:
+def tabled(table: Floats, lattice: Lattice, index: Ints, beyond: float | Floats) -> Floats:
     """Entries of a table (n1, n2, ...) for the cells `index` (..., 2), and `beyond` for cells that are not
     kept.
 
@@ -348,7 +371,7 @@ def tabled(table: Floats, lattice: Lattice, index: Ints, beyond: float) -> Float
     """
     kept = lattice.contains(index)
     found = table[np.where(kept, places_in_rows(lattice, index), 0), np.where(kept, index[..., 1], 0)]
-    return np.where(kept if table.ndim == 2 else kept[..., None], found, beyond)
+    return np.where(kept.reshape(kept.shape + (1,) * (table.ndim - 2)), found, beyond)
 
 
 def extreme_cells(change: VertexChange, lattice: Lattice) -> Ints:
@@ -397,8 +420,7 @@ def centre_pairs(lattice: Lattice, cell: Ints) -> tuple[Pair, Pair]:
 
 @dataclass(frozen=True, eq=False)
 class CellLaws:
-    """Laws with common lens axes and a δ per cell: δ₀ + K C at the cell's centre C, or from a table; η may
-    vary too.
+    """Laws with a δ per cell: δ₀ + K C at the cell's centre C, or from a table; η and lens axes may vary too.
 
     law : Its δ is δ₀; a table replaces it.
     gradient : ((K_xx, K_xy), (K_yx, K_yy)), 1/length. Rows: lens axes; columns: sheet axes.
@@ -407,12 +429,20 @@ class CellLaws:
     ratios : (n1, n2) or (n1, n2, 2) array or None
         η, the ratio −f2/f1 of both lens axes or of either, of each cell, given with such a table; None: the
         law's η in all cells.
+    angles : (n1, n2, 3) array or None
+        φ, θ, ψ of each cell, radians, given with such a table; None: the law's in all cells.
     """
 
     law: Law
     gradient: Gradient = ((0.0, 0.0), (0.0, 0.0))
     table: Floats | None = None
     ratios: Floats | None = None
+    angles: Floats | None = None
+
+    @property
+    def own_lenses(self) -> bool:
+        """Whether cells have lenses of their own: by a table's η or angles."""
+        return self.ratios is not None or self.angles is not None
 
     @property
     def smooth(self) -> VaryingLaw | None:
@@ -434,6 +464,17 @@ class CellLaws:
         kept = lattice.contains(index)[..., None]
         return np.where(kept, tabled(each, lattice, index, 0.0), ratios_of(self.law))
 
+    def angles_of(self, lattice: Lattice, index: Ints) -> Floats:
+        """φ, θ, ψ (..., 3) of cells `index` (..., 2), radians; the law's for cells left out."""
+        law = np.array([self.law.phi, self.law.theta, self.law.psi])
+        if self.angles is None:
+            return np.broadcast_to(law, (*index.shape[:-1], 3))
+        return tabled(self.angles, lattice, index, law)
+
+    def rotations_of(self, lattice: Lattice, index: Ints) -> Floats | None:
+        """Lens → sheet (..., 3, 3) of cells `index` (..., 2); None: the law's in all."""
+        return None if self.angles is None else rotations(self.angles_of(lattice, index), self.law.axes)
+
     def law_at(self, lattice: Lattice, index: ArrayLike) -> Law:
         """Law of the cell `index` (2,). Raises IndexError: No such cell is kept."""
         cell = np.asarray(index, dtype=np.int64)
@@ -441,12 +482,14 @@ class CellLaws:
             raise IndexError(f"the sheet has no cell {np.asarray(index).tolist()}")
         delta_x, delta_y = self.deltas(lattice, cell).tolist()
         eta_x, eta_y = self.ratios_of(lattice, cell).tolist()
-        return replace(self.law, delta_x=delta_x, delta_y=delta_y, eta_x=eta_x, eta_y=eta_y)
+        law = replace(self.law, delta_x=delta_x, delta_y=delta_y, eta_x=eta_x, eta_y=eta_y)
+        phi, theta, psi = self.angles_of(lattice, cell).tolist()
+        return replace(law, phi=phi, theta=theta, psi=psi)
 
     def refract(self, lattice: Lattice, index: Ints, d: Floats) -> Floats:
         """Exit directions (n, 3) of light with directions `d` (n, 3) through the cells `index` (n, 2)."""
         own = None if self.ratios is None else self.ratios_of(lattice, index)
-        return refract_each(self.law, self.deltas(lattice, index), d, own)
+        return refract_each(self.law, self.deltas(lattice, index), d, own, self.rotations_of(lattice, index))
 
     def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> CellLaws:
         """Laws of `count` cells in the centre of their lattice; tables are cut."""

@@ -94,7 +94,10 @@ def _thin_pair(window: Window, index: Ints, first: Floats) -> ThinPair:
         depth, places = lens.in_cells(window.lattice, index)
         focal = xy(np.array(places.focal(lens.focal_length)))
         field.append(replace(lens, focal_length=focal, depth=float(depth), change=None))
+    axes = lenses[0].axes(pair.rotation)
+    assert axes is not None
     alike = replace(pair, pitch=None, turn=0.0, change=None, change_1=None, field=tuple(field))
+    alike = replace(alike, rotation=axes.reshape(3, 3))
     return replace(alike, focal_length=(focal_1, focal_2), offset=(x, y, z), shift=xy(apart))
 
 

@@ -17,6 +17,7 @@ from clacad.sheet.cell_places import extreme_cells
 from clacad.sheet.window import (
     Face,
     Window,
+    heights_and_normals_of_lenses,
     heights_of_lenses,
     lens_height,
     lens_height_and_normal,
@@ -250,6 +251,8 @@ def outermost_cells(window: Window, face: Face) -> Ints:
     )
     low, high = np.nan_to_num(ends[:, 0], nan=np.inf), np.nan_to_num(ends[:, 1], nan=-np.inf)
     outer = [int(np.argmin(low)), int(np.argmax(high))]
+    if face.change.rotation is not None:
+        outer.append(int(np.argmax(_steepest(window, face, kept))))
     return np.unique(np.concatenate([cells, kept[outer]]), axis=0)
 
 
@@ -271,6 +274,17 @@ def _range_in(window: Window, face: Face, cells: Ints) -> Floats:
         inside = (low[0] <= x) & (x <= high[0]) & (low[1] <= y) & (y <= high[1])
         heights = np.concatenate([heights, np.where(inside, z, np.nan)], axis=1)
     return np.column_stack([np.fmin.reduce(heights, axis=1), np.fmax.reduce(heights, axis=1)])
+
+
+def _steepest(window: Window, face: Face, cells: Ints) -> Floats:
+    """Greatest slope (n,) of a lens at the corners of cells (n, 2)."""
+    assert face.array is not None
+    corners = optical_tile(window, face.array)
+    places = window.lenses(face, cells[:, None])
+    _, normal = heights_and_normals_of_lenses(face, places, *corners.T[:, None])
+    with np.errstate(invalid="ignore"):
+        slopes = np.hypot(normal[..., 0], normal[..., 1]) / normal[..., 2]
+    return np.asarray(np.nan_to_num(slopes, nan=0.0).max(axis=1))
 
 
 def level_point(window: Window, face: Face) -> tuple[float, float, float] | None:

@@ -175,24 +175,28 @@ def partner_share(window: Window, index: Ints, directions: ArrayLike) -> Floats:
 
 
 def share_of_zone(cells: ThinCells, shift: Floats, ratio: Floats | None) -> Floats:
-    """Share (n,) of light from a copy of lens 1's zone, `ratio` (n, 2) times the image,
+    """Share (n,) of light from a copy of lens 1's zone, `ratio` (n, 2, 2) times the image,
     `shift` (n, 2) from lens 2's zone.
     """
     image, whole = cells.image, np.asarray(polygon_area(cells.image))
     if ratio is not None:
-        image, whole = image * ratio[:, None], whole * ratio.prod(axis=-1)
+        image, whole = image @ ratio.swapaxes(1, 2), whole * np.linalg.det(ratio)
     return np.asarray(cells.part * common_areas(image, shift, partner_zone(cells)) / whole)
 
 
 def scale_of_image(cells: ThinCells, index: Ints) -> Floats | None:
-    """Scale (n, 2) of the copy of lens 1's zone that the cells `index` (n, 2) make, relative to
-    `ThinCells.image`, along the lens axes; None where all cells are alike.
+    """Matrices (n, 2, 2), sheet's lens axes, of the copy of lens 1's zone that the cells `index` (n, 2) make,
+    relative to `ThinCells.image`: diagonal unless cells are turned; None where all cells are alike.
     """
     first, second = (cells.pair.lenses(array, cells.window.lattice, index) for array in (0, 1))
     if first.size is None or second.size is None:
         return None
     one, other = (np.stack(lens.focal((1.0, 1.0)), axis=-1) for lens in (first, second))
-    return np.asarray(other / one)
+    scale = np.asarray(other / one)
+    if first.rotation is None:
+        return np.asarray(scale[:, None] * np.eye(2))
+    own, middle = cells.pair.rotation.T[:2] @ first.rotation[..., :2], np.array(focal_ratio(cells.pair))
+    return np.asarray((own * (scale * middle)[:, None]) @ own.swapaxes(1, 2) / middle)
 
 
 def off_partner(cells: ThinCells, index: Ints, slopes: Floats) -> Floats:
@@ -254,7 +258,7 @@ def arrivals(
         return np.asarray(cells.separation * slopes)
     ratio = np.broadcast_to(focal_ratio(pair), slopes.shape)
     if of_cells is not None and (scale := scale_of_image(cells, of_cells)) is not None:
-        ratio = ratio * scale
+        ratio = ratio * np.diagonal(scale, axis1=1, axis2=2)
     arrival = np.empty_like(slopes)
     for lens in pair.field:
         depth = np.full((len(slopes), 1), lens.depth)

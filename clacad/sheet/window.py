@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from clacad.base.types import Floats, Ints
+from clacad.base.vectors import to_surface
 from clacad.optics.surface.intersection import meet
 from clacad.optics.surface.roots import upright_sag
 from clacad.optics.surface.sag_and_normal import (
@@ -467,7 +468,8 @@ class Window(PlacedArrays):
             return face
         places = self.lenses(face, index)
         x, y, z = (float(v) for v in places.apex)
-        return replace(face, surface=own_surface(face, places), vertex=(x, y, z), change=None)
+        turn = face.rotation if places.rotation is None else places.rotation
+        return replace(face, surface=own_surface(face, places), vertex=(x, y, z), rotation=turn, change=None)
 
     def with_cells(self, count: tuple[int, int]) -> Window:
         """Return the design with another cell count, centred on the origin, without a cut outline.
@@ -598,19 +600,24 @@ def lens_height_and_normal(face: Face, x: Floats, y: Floats) -> tuple[Floats, Fl
     start = np.stack([x - vx, y - vy, np.zeros(x.shape)], axis=-1).reshape(-1, 3)
     up = np.array([0.0, 0.0, 1.0])
     if not face.untilted:
-        start = start @ face.rotation
-        up = face.rotation[2].copy()
+        start = seen_along(start, face.rotation)
+        up = face.rotation[..., 2, :].copy()
     direction = np.broadcast_to(up, start.shape)
     met = meet(face.surface, start, np.ascontiguousarray(direction))
     normal = met.gradient
     if not face.untilted:
-        normal = normal @ face.rotation.T
+        normal = seen_along(normal, face.rotation.swapaxes(-1, -2))
     with np.errstate(invalid="ignore", divide="ignore"):
         normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
         graph = (normal[:, 2] > 0.0) & np.isfinite(met.distance)
     z = np.where(graph, vz + met.distance, np.nan)
     normal = np.where(graph[:, None], normal, np.nan)
     return z.reshape(x.shape), normal.reshape((*x.shape, 3))
+
+
+def seen_along(rows: Floats, rotation: Floats) -> Floats:
+    """Rows (n, 3) of sheet axes along the axes of one lens, (3, 3) lens → sheet, or of one each, (n, 3, 3)."""
+    return np.asarray(rows @ rotation if rotation.ndim == 2 else to_surface(rotation, rows))
 
 
 def own_surface(face: Face, places: LensPlaces) -> Surface:
@@ -638,9 +645,16 @@ def heights_and_normals_of_lenses(
 def _own_lens(face: Face, places: LensPlaces, x: Floats, y: Floats) -> tuple[Face, Floats, Floats]:
     """Face of the unscaled lenses over points (...), in one row, and the points as these see them."""
     x, y = np.broadcast_arrays(*places.seen(x, y))
-    if places.aspect is None:
-        return face, x, y
-    return replace(face, surface=places.shape(face.surface, x.shape)), x, y
+    return lenses_of(face, places, x.shape), x, y
+
+
+def lenses_of(face: Face, places: LensPlaces, like: tuple[int, ...]) -> Face:
+    """Face of the unscaled lenses at `places` over points of a shape, in one row."""
+    if places.aspect is None and places.rotation is None:
+        return face
+    turn = places.axes(face.rotation, like)
+    assert turn is not None
+    return replace(face, surface=places.shape(face.surface, like), rotation=turn)
 
 
 def column(

@@ -293,7 +293,7 @@ class LensArray:
     face : 0 front, 1 back
     side : +1 or −1
     land : Height of the face's land.
-    rotation : (3, 3). Lens → sheet.
+    rotation : (3, 3), or (n, 3, 3) of each. Lens → sheet.
     curvatures : (n, 3), 1/mm. A, B, C of the local equation (see `clacad.solid.rational_conics`).
     apex : (n, 3). In the cell frame.
     """
@@ -314,22 +314,28 @@ class LensArray:
         """The lenses of some cells; one row where all are alike."""
         if self.alike:
             return self
-        return replace(self, curvatures=self.curvatures[cells], apex=self.apex[cells])
+        turn = self.rotation if self.rotation.ndim == 2 else self.rotation[cells]
+        return replace(self, curvatures=self.curvatures[cells], apex=self.apex[cells], rotation=turn)
 
     @property
     def matrix(self) -> Floats:
         """M of the sheet-frame equation, (n, 3, 3)."""
         turn = self.rotation
-        return np.asarray(np.einsum("ia,na,ja->nij", turn, self.curvatures, turn))
+        return np.asarray(np.einsum("...ia,...a,...ja->...ij", turn, self.curvatures, turn))
+
+    @property
+    def _turns(self) -> Floats:
+        """Rotations that multiply points (n, m, k, 3)."""
+        return self.rotation if self.rotation.ndim == 2 else self.rotation[:, None]
 
     @property
     def linear(self) -> Floats:
-        """Vector q (3,) of the sheet-frame equation."""
-        return np.asarray(-self.side * self.rotation[:, 2])
+        """Vector q, (3,) or (n, 3), of the sheet-frame equation."""
+        return np.asarray(-self.side * self.rotation[..., 2])
 
     def heights(self, x: Floats, y: Floats) -> Floats:
         """Heights (n, k) over points x, y, (k,) or (n, k), of the cell frames; NaN where there is none."""
-        m, q = self.matrix[:, :, :, None], self.linear
+        m, q = self.matrix[:, :, :, None], self.linear.T[..., None]
         dx, dy = x - self.apex[:, :1], y - self.apex[:, 1:2]
         b = m[:, 0, 2] * dx + m[:, 1, 2] * dy + q[2]
         square = m[:, 0, 0] * dx * dx + 2.0 * m[:, 0, 1] * dx * dy + m[:, 1, 1] * dy * dy
@@ -381,14 +387,14 @@ class LensArray:
             np.einsum(
                 "nki,nkij->nkj", point - self.apex[:, None], np.broadcast_to(matrix, (*point.shape[:2], 3, 3))
             )
-            + self.linear
+            + self.linear[..., None, :]
         )
         tangent = np.cross(np.broadcast_to(normal, gradient.shape), gradient)
         return np.asarray(tangent / np.linalg.norm(tangent, axis=2)[..., None])
 
     def _parameters(self, points: Floats) -> tuple[Floats, Floats]:
         """Stereographic parameters (n, m, k, 2) of points (n, m, k, 3), and the divisor (n, m, k)."""
-        local = (points - self.apex[:, None, None]) @ self.rotation
+        local = (points - self.apex[:, None, None]) @ self._turns
         divisor = 1.0 - 0.5 * self.side * self.curvatures[:, 2, None, None] * local[..., 2]
         return np.asarray(local[..., :2] / divisor[..., None]), np.asarray(divisor)
 
@@ -402,7 +408,7 @@ class LensArray:
         weights = 1.0 + 0.25 * c * q
         u, v = np.broadcast_arrays(u[:, :, None], v[:, None, :])
         local = np.stack([u, v, 0.5 * self.side * q], axis=-1) / weights[..., None]
-        return local @ self.rotation.T + self.apex[:, None, None], weights
+        return local @ self._turns.swapaxes(-1, -2) + self.apex[:, None, None], weights
 
 
 def _triple(a: Floats, b: Floats, normal: Floats) -> Floats:

@@ -99,7 +99,9 @@ def _lens_arrays(
         apex = np.stack(np.broadcast_arrays(*np.atleast_1d(*places.apex)), axis=1) * scale
         curvatures = np.broadcast_to(curvatures / size, apex.shape)
         land = None if face.land is None else face.land * scale
-        found.append(LensArray(number, face.side, land, face.rotation, curvatures, apex))
+        turn = places.axes(face.rotation)
+        assert turn is not None
+        found.append(LensArray(number, face.side, land, turn, curvatures, apex))
     return tuple(found)
 
 

@@ -7,7 +7,7 @@ with the size of the sheet or its distance from the origin.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import cos, isfinite, nan, pi
 from typing import Any, NamedTuple
 
@@ -29,6 +29,7 @@ from clacad.sheet.window import (
     arrays_between,
     in_optical_tile,
     lens_height_and_normal,
+    lenses_of,
 )
 
 SAMPLES = 49
@@ -358,8 +359,8 @@ def _sampled(face: Face, seen: SampledCell) -> tuple[Floats, Floats]:
     if face.array is None:
         return np.full(seen.x.shape, face.vertex[2]), np.zeros(seen.x.shape)
     whole = (1 if seen.places is None else np.shape(seen.places.rise)[0], -1)
-    if seen.places is not None and seen.places.aspect is not None:
-        face = replace(face, surface=seen.places.shape(face.surface, seen.x.reshape(whole).shape))
+    if seen.places is not None:
+        face = lenses_of(face, seen.places, seen.x.reshape(whole).shape)
     z, normal = lens_height_and_normal(face, seen.x, seen.y)
     if seen.places is not None:
         z = seen.places.raised(z.reshape(whole)).ravel()

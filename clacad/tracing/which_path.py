@@ -104,16 +104,20 @@ def _rate(rung: Rung) -> Rung:
 
 def has_kernel(rung: Rung, window: Window) -> bool:
     """Whether a rung of a sheet has kernels: arrays not turned, lenses that do not rise with the places of
-    their cells, no cells with an η_x and an η_y, and rung thin without a field lens or an opaque line.
+    their cells, no cells with an η_x and an η_y or lens axes of their own, and rung thin without a field lens
+    or an opaque line.
     """
     laws = window.cell_laws
-    if laws is not None and laws.ratios is not None and laws.ratios.ndim == 3:
+    if laws is not None and (laws.angles is not None or (laws.ratios is not None and laws.ratios.ndim == 3)):
         return False
     if rung == "law":
         return True
     changes = [window.thin.change] if rung == "thin" else [face.change for face in window.faces]
     if any(
-        change is not None and (any(change.climb) or change.lift is not None or change.aspect is not None)
+        change is not None
+        and (
+            any(change.climb) or any(one is not None for one in (change.lift, change.aspect, change.rotation))
+        )
         for change in changes
     ):
         return False

@@ -1,4 +1,4 @@
-"""Sheets whose cells have an η of their own: their lenses against paraxial matrices and closed forms, their light, what is refused."""
+"""Cells with an η or lens axes of their own: lenses against paraxial matrices and closed forms, light, what is refused."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from clacad.sheet.like_cell import like_cell
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.vignetting import aperture_slopes, partner_share
 from clacad.sheet.volume_and_extent import body_volume
-from clacad.sheet.window import face_height, lens_height_and_normal
+from clacad.sheet.window import face_height, lens_height, lens_height_and_normal
 from clacad.tracing.layout import lay_out
 
 BASE = {
@@ -54,8 +54,16 @@ def sloping(i, j):
     return 0.003 * i - 0.008, 0.004 - 0.002 * j
 
 
-def design(folder, eta=WIDELY, delta=sloping, **changes):
-    """A design with a table; η None: a table of δ alone; η of two numbers: columns eta_x and eta_y."""
+def turned(i, j):
+    return 17.0 * i - 23.0 * j + 5.0
+
+
+def slightly(i, j):
+    return 2.0 * i - 1.5 * j
+
+
+def design(folder, eta=WIDELY, delta=sloping, turn=None, **changes):
+    """A design with a table; η None: none in it; η of two numbers: columns eta_x and eta_y; psi by `turn` (degrees)."""
     made = json.loads(json.dumps(BASE))
     for key, value in changes.items():
         section, _, name = key.partition("__")
@@ -66,9 +74,11 @@ def design(folder, eta=WIDELY, delta=sloping, **changes):
     plain = clacad.Design.from_dict(made)
     lattice = clacad.prescribe(plain).lattice
     own = (lambda i, j: []) if eta is None else lambda i, j: np.atleast_1d(eta(i, j)).tolist()
-    rows = ["i,j,delta_x,delta_y" + ("", ",eta", ",eta_x,eta_y")[len(own(0, 0))]]
+    rows = [
+        "i,j,delta_x,delta_y" + ("", ",eta", ",eta_x,eta_y")[len(own(0, 0))] + ",psi" * (turn is not None)
+    ]
     for i, j in lattice.cells().tolist():
-        numbers = [*delta(i, j), *own(i, j)]
+        numbers = [*delta(i, j), *own(i, j), *([] if turn is None else [turn(i, j)])]
         rows.append(",".join([str(i), str(j), *map(repr, map(float, numbers))]))
     (folder / "cells.csv").write_text("\n".join(rows) + "\n")
     made["law"]["varying"] = {"table": "cells.csv"}
@@ -91,7 +101,9 @@ FORMS = {
 OF_TWO = {
     "two axes": {}, "two axes, law of two": {"law__eta": [-0.8, -1.3]}, "two axes, ellipsoids": {"pair__surface": None},
     "two axes, plano": FORMS["plano"], "two axes, biconvex": FORMS["biconvex"],
-    "two axes, hexagonal": FORMS["hexagonal"],
+    "two axes, hexagonal": FORMS["hexagonal"], "two axes, turned": {"turn": turned},
+    "two axes, turned ellipsoids": {"turn": turned, "pair__surface": None},
+    "two axes, slightly turned biconvex": {**FORMS["biconvex"], "turn": slightly},
 }  # fmt: skip
 """As `FORMS`, with an η along each lens axis."""
 FORMS |= OF_TWO
@@ -354,6 +366,80 @@ def test_neighbours_whose_eta_differ_by_rounding_have_lenses_that_do(tmp_path):
     assert spread_[:2].max() < 1e-12
 
 
+TURNED = {
+    "slab": {"law__eta": [-0.8, -1.3]}, "ellipsoids": {"law__eta": [-0.8, -1.3], "pair__surface": None},
+    "plano": {**FORMS["plano"], "law__eta": [-0.8, -1.3]}, "hexagonal": {**FORMS["hexagonal"], "law__eta": [-0.8, -1.3]},
+    "biconvex": {**FORMS["biconvex"], "law__eta": [-1.0, -1.2]}, "round": {}, "turned law": {"law__eta": [-0.8, -1.3], "law__euler": [10, 0, 20]}, "seam": {"law__eta": [-0.8, -1.3], "lattice__seam": 0.05},
+    "field lens": LENSED["two plates"] | {"pair__field_lens": True, "pair__surface": None},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", TURNED)
+def test_a_cell_turned_by_its_psi_is_that_of_the_uniform_sheet_turned_as_much(tmp_path, form):
+    """Its faces, the places of its lenses in it, its thin lenses and its law."""
+    keys = {
+        "lattice__count": [4, 3],
+        "lattice__aperture": "aligned",
+        "pair__offset": "paraxial",
+        **TURNED[form],
+    }
+    made = design(tmp_path, None, sloping, slightly if form == "biconvex" else turned, **keys)
+    window = clacad.prescribe(made)
+    plain = made.to_dict()
+    del plain["law"]["varying"]
+    phi = made.law_spec.euler_degrees[0]
+    for cell in window.lattice.cells()[::3]:
+        psi = (slightly if form == "biconvex" else turned)(*cell)
+        plain["law"] |= {"euler": [phi, 0, psi], "delta": list(sloping(*cell))}
+        alike = clacad.prescribe(clacad.Design.from_dict(plain))
+        like = like_cell(window, cell)
+        assert np.abs(like.law.matrix() - alike.law.matrix()).max() < 1e-15
+        assert like.thin.offset == pytest.approx(alike.thin.offset, abs=3e-15)
+        assert np.abs(like.thin.rotation - alike.thin.rotation).max() < 1e-15
+        for own, one in zip(like.faces, alike.faces, strict=True):
+            x, y = np.random.default_rng(1).uniform(-0.2, 0.2, (2, 50))
+            here, there = (
+                face_height(w, f, x, y) + w.bodies[0].front.vertex[2] for w, f in ((like, own), (alike, one))
+            )
+            assert np.abs(here - there).max() < 1e-13  # a thickness may be found again
+
+
+def test_neighbours_whose_turns_differ_by_rounding_have_lenses_that_do(tmp_path):
+    """By one part in 10¹² of a degree, against the same cells in numbers of 50 digits."""
+    turn = lambda i, j: 0.5 + 1e-12 * ((i + j) % 2)  # noqa: E731
+    keys = {"law__eta": [-0.8, -1.3], "pair__offset": "paraxial", "pair__surface": None}
+    window = built(tmp_path, None, still, turn, lattice__count=[3, 3], **keys)
+    (body,) = window.bodies
+    x, y = np.array([0.25, -0.2, 0.05]), np.array([0.1, 0.25, -0.25])
+    with mpmath.workdps(50):
+        for cell in window.lattice.cells():
+            angle = mpmath.mpf(turn(*cell)) * mpmath.pi / 180
+            c, s = mpmath.cos(angle), mpmath.sin(angle)
+            for face in (body.front, body.back):
+                q = face.surface
+                found = face_height(window, face, x, y, np.broadcast_to(cell, (3, 2))) - face.vertex[2]
+                for px, py, z in zip(x, y, found, strict=True):
+                    u, v = c * mpmath.mpf(px) + s * mpmath.mpf(py), c * mpmath.mpf(py) - s * mpmath.mpf(px)
+                    bent = mpmath.mpf(q.curvature_x) * u**2 + mpmath.mpf(q.curvature_y) * v**2
+                    exact = q.side * bent / (1 + mpmath.sqrt(1 - mpmath.mpf(q.kappa) * bent))
+                    assert abs(z - exact) < (4e-17 if face is body.front else 4e-15)
+    step = highest_step(window, body).height
+    one = built(tmp_path, None, still, lambda i, j: 0.5, lattice__count=[3, 3], **keys)
+    assert abs(step - highest_step(one, one.bodies[0]).height) < 1e-14
+
+
+def test_turned_cells_of_a_tilted_law_and_across_the_cylinders_of_a_field_lens_are_refused(tmp_path):
+    for keys, code, word in (
+        ({"law__euler": [20, 3, 0]}, "CL124", "lean towards another side"),
+        ({"law__eta": [-0.8, -1.3], "pair__surface": None, "pair__field_lens": True}, "CL127", "cylinders"),
+    ):
+        with pytest.raises(clacad.DesignError) as caught:
+            built(tmp_path, None, still, turned, **keys)
+        (mistake,) = caught.value.mistakes
+        assert mistake.code == code
+        assert word in mistake.message
+
+
 def test_two_numbers_of_a_cell_that_have_no_field_lens_or_no_form_are_refused(tmp_path):
     even = {"radius": 2.468, "a4": [1e-4, 2e-4, 1e-4]}
     for keys, word in (
@@ -419,21 +505,22 @@ def test_a_sheet_of_equal_cells_like_one_is_that_cell(tmp_path):
         assert like.thin.focal_length[1][1] == pytest.approx(-eta * 10.0 / (1.0 - eta), rel=1e-15)
 
 
-@pytest.mark.daily_cases("3", "4")
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.daily_cases("3", "4", "6")
+@pytest.mark.parametrize("seed", range(8))
 def test_bounds_of_a_face_hold_every_lens_of_a_sheet_drawn_at_random(tmp_path, seed):
     rng = np.random.default_rng(seed)
     etas, deltas = -np.exp(rng.uniform(-0.7, 0.7, (7, 6))), rng.uniform(-0.02, 0.02, (7, 6, 2))
     kind = (
         {}, {"lattice__kind": "hexagonal"}, {"law__euler": [20, 4, 10]}, {"pair__surface": None},
-        {"pair__surface": None}, {"law__euler": [20, 4, 10]},
+        {"pair__surface": None}, {"law__euler": [20, 4, 10]}, {"pair__surface": None}, {},
     )[seed]  # fmt: skip
-    beside = -np.exp(rng.uniform(-0.7, 0.7, (7, 6)))
+    beside, turns = -np.exp(rng.uniform(-0.7, 0.7, (7, 6))), rng.uniform(-180.0, 180.0, (7, 6))
     row = (lambda i, j: i + j // 2) if seed == 1 else (lambda i, j: i)
     window = built(
         tmp_path,
         lambda i, j: etas[row(i, j), j] if seed < 4 else (etas[i, j], beside[i, j]),
         lambda i, j: deltas[row(i, j), j],
+        None if seed < 6 else lambda i, j: float(turns[i, j]),
         pair__offset="paraxial",
         **kind,
     )
@@ -452,10 +539,12 @@ def test_bounds_of_a_face_hold_every_lens_of_a_sheet_drawn_at_random(tmp_path, s
             assert z.max() <= window.z_range[1] + 1e-9
 
 
-@pytest.mark.daily_cases("<lambda>0")
-@pytest.mark.parametrize("eta", [WIDELY, BOTH])
-def test_closed_form_shares_are_those_of_rays_through_ideal_lenses(tmp_path, eta):
-    window = built(tmp_path, eta, delta=still)
+@pytest.mark.daily_cases("one", "turned")
+@pytest.mark.parametrize(
+    ("eta", "turn"), [(WIDELY, None), (BOTH, None), (BOTH, turned)], ids=["one", "two", "turned"]
+)
+def test_closed_form_shares_are_those_of_rays_through_ideal_lenses(tmp_path, eta, turn):
+    window = built(tmp_path, eta, still, turn)
     rng = np.random.default_rng(5)
     for slope in ((0.0, 0.0), (0.012, -0.004)):
         for cell in ((0, 0), (3, 2), (6, 5)):
@@ -468,19 +557,19 @@ def test_closed_form_shares_are_those_of_rays_through_ideal_lenses(tmp_path, eta
             assert found == pytest.approx(counted, abs=0.015)
 
 
-@pytest.mark.daily_cases("<lambda>0")
-@pytest.mark.parametrize("eta", [WIDELY, BOTH])
-def test_the_volume_is_that_of_its_columns_summed_cell_by_cell(tmp_path, eta):
-    window = built(tmp_path, eta, lattice__count=[3, 2])
+@pytest.mark.daily_cases("one", "turned")
+@pytest.mark.parametrize(
+    ("eta", "turn"), [(WIDELY, None), (BOTH, None), (BOTH, turned)], ids=["one", "two", "turned"]
+)
+def test_the_volume_is_that_of_its_columns_summed_cell_by_cell(tmp_path, eta, turn):
+    window = built(tmp_path, eta, turn=turn, lattice__count=[3, 2])
     (body,) = window.bodies
     total = 0.0
     for cell in window.lattice.cells():
         front, back = (window.in_cell(face, cell) for face in (body.front, body.back))
 
         def thick(y, x, front=front, back=back):
-            one, two = (
-                f.vertex[2] + float(f.surface.sag(x - f.vertex[0], y - f.vertex[1])) for f in (front, back)
-            )
+            one, two = (float(lens_height(f, np.array([x]), np.array([y]))[0]) for f in (front, back))
             return two - one
 
         total += dblquad(thick, -0.25, 0.25, -0.25, 0.25, epsabs=1e-12)[0]
@@ -556,10 +645,18 @@ PRESENT = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("feature", PRESENT)
-def test_each_feature_works_with_a_table_of_eta(tmp_path, feature):
+@pytest.mark.parametrize(
+    ("feature", "turn"),
+    [
+        (feature, turn)
+        for feature in PRESENT
+        for turn in (None, slightly)
+        if turn is None or feature != "tilt"
+    ],
+)
+def test_each_feature_works_with_a_table_of_eta_and_one_of_turns(tmp_path, feature, turn):
     assert ("law.varying", feature) not in REASONS
-    made = design(tmp_path, spread(-0.9, -1.3), **PRESENT[feature])
+    made = design(tmp_path, spread(-0.9, -1.3), turn=turn, **PRESENT[feature])
     window = clacad.prescribe(made)
     assert window.many_sizes
     slope = np.divide(window.thin.shift, window.thin.offset[2])

@@ -84,7 +84,9 @@ def faces_table(window: Window, allowed: Allowances) -> Canvas:
             place = ", ".join(mm_text(v * mm) for v in face.vertex)
             if face.change is not None:  # each its own: see the table of cells
                 place = f"by cell, by cell, {mm_text(face.vertex[2] * mm)}"
-            turned = ", ".join(f"{v:.5g}" for v in euler_degrees(face)) if face.array is not None else "-"
+            turned = ", ".join(f"{v:.5g}" for v in euler_degrees(face.rotation))
+            if face.array is None or (face.change is not None and face.change.rotation is not None):
+                turned = "-" if face.array is None else "by cell"
             flat = face.array is None
             rows.append([f"{body.name} {side}", *radii, *(["-", "-"] if flat else conics), place, turned])
             rows[-1] += [_terms(face, order, mm) for order in orders]

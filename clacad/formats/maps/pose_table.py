@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from clacad.base.types import Ints
+from clacad.base.types import Floats, Ints
 from clacad.base.units import POWER
 from clacad.formats.maps.sag import structured_faces
 from clacad.optics.law.orientation import rotation_degrees
@@ -107,6 +107,8 @@ def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
                 " lengths times its size"
             ),
         }
+    if face.change is not None and face.change.rotation is not None:
+        found |= {"rotation": None, "axes": "cell by cell in the pose table"}
     if face.change is not None and face.change.aspect is not None:
         found["aspect"] = (
             "cell by cell in the pose table: first the curvature along y is multiplied by it, and kappa by"
@@ -180,16 +182,25 @@ def pose_lines(window: Window, scale: float, rows: Iterable[Ints]) -> Iterator[l
     rows = list(rows)
     for _, face, label in structured_faces(window):
         assert face.array is not None
-        angles = [repr(v) for v in euler_degrees(face)]
         for row in rows:
+            angles = _angles(window, face, row)
             apexes = window.vertices(face, row)
             if face.change is None:
                 apexes = np.asarray(face.vertex)
             places = (window.centres(face.array, row) + apexes[..., :2]) * scale + 0.0
             heights = np.broadcast_to(apexes[..., 2] * scale, len(row)).tolist()
             sizes = _sizes(window, face, row, scale)
-            for (i, j), (x, y), z, size in zip(row.tolist(), places.tolist(), heights, sizes, strict=True):
-                yield [label, i, j, repr(x), repr(y), repr(z), *angles, *size]
+            own = zip(row.tolist(), places.tolist(), heights, angles, sizes, strict=True)
+            for (i, j), (x, y), z, turns, size in own:
+                yield [label, i, j, repr(x), repr(y), repr(z), *turns, *size]
+
+
+def _angles(window: Window, face: Face, row: Ints) -> list[list[str]]:
+    """φ, θ, ψ in degrees of the lens of each cell of a row (n, 2)."""
+    turns = window.lenses(face, row).rotation
+    each = [face.rotation] if turns is None else turns
+    found = [[repr(v) for v in euler_degrees(one)] for one in each]
+    return found * len(row) if turns is None else found
 
 
 def _sizes(window: Window, face: Face, row: Ints, scale: float) -> list[tuple[str, ...]]:
@@ -202,9 +213,8 @@ def _sizes(window: Window, face: Face, row: Ints, scale: float) -> list[tuple[st
     return [tuple(map(repr, line)) for line in np.stack(told, axis=-1).tolist()]
 
 
-def euler_degrees(face: Face) -> tuple[float, float, float]:
-    """φ, θ, ψ in degrees with R = Rz(ψ) Rx(θ) Rz(φ); an untilted lens has θ = 0 and ψ = 0."""
-    r = face.rotation
+def euler_degrees(r: Floats) -> tuple[float, float, float]:
+    """φ, θ, ψ in degrees of R = Rz(ψ) Rx(θ) Rz(φ); an untilted lens has θ = 0 and ψ = 0."""
     theta = float(np.arctan2(np.hypot(r[0, 2], r[1, 2]), r[2, 2]))
     if np.hypot(r[0, 2], r[1, 2]) < 1e-12:
         return float(np.degrees(np.arctan2(r[1, 0], r[0, 0]))), 0.0, 0.0

@@ -197,7 +197,7 @@ def _occ_facts(
     """Facts that OCC finds in a file (mm); with a window its sampled lens faces are compared with that."""
     from OCP.ShapeAnalysis import ShapeAnalysis_ShapeTolerance
 
-    from clacad.solid.occ_writer import careful_volume, is_valid, surface_area, volume
+    from clacad.solid.occ_writer import is_valid, surface_area, volume
 
     several = loaded(path).pieces if place is None else place.of_pieces(loaded(path).pieces)
     solids = [piece for piece in several if piece.solid]
@@ -209,14 +209,13 @@ def _occ_facts(
             f" it{'' if place is None else ' where the sheet should be'}; the file is damaged"
         )
     engraved = 0.0 if window is None else engraved_in(several, window)
-    measured = careful_volume if engraved else volume
     tolerance = ShapeAnalysis_ShapeTolerance()
     count = sum(len(piece.placements) for piece in solids)
     facts: dict[str, Any] = {
         "valid": all(is_valid(piece.shape) for piece in solids),
         "kernel_solids": count,
         "kernel_faces": faces,
-        "volume": sum(measured(piece.shape) * len(piece.placements) for piece in solids),
+        "volume": sum(volume(piece.shape) * len(piece.placements) for piece in solids),
         "area": sum(surface_area(piece.shape) * len(piece.placements) for piece in solids),
         "box": whole_box(several),
         "tolerance": max(tolerance.Tolerance(piece.shape, 1) for piece in several),

@@ -83,12 +83,16 @@ def ratios_of(law: Law) -> Pair2:
     return law.eta_x, law.eta_y
 
 
-def refract_each(law: Law, deltas: Floats, d: ArrayLike, ratios: Floats | None = None) -> Floats:
-    """Directions (n, 3) behind a sheet with an offset (n, 2), and optionally an η (n, 2), for each of them.
+def refract_each(
+    law: Law, deltas: Floats, d: ArrayLike, ratios: Floats | None = None, turns: Floats | None = None
+) -> Floats:
+    """Directions (n, 3) behind a sheet with an offset (n, 2), and optionally an η (n, 2) and lens axes
+    (n, 3, 3), for each of them.
 
     See `Law.refract` for all else.
     """
-    return refracted(ratios_of(law) if ratios is None else ratios, deltas, law.rotation, d)
+    axes = law.rotation if turns is None else turns
+    return refracted(ratios_of(law) if ratios is None else ratios, deltas, axes, d)
 
 
 Exact = Fraction

@@ -56,6 +56,13 @@ def rotation(phi: float, theta: float, psi: float, axes: Axes = "fixed") -> Floa
     return _z_x_z(phi, theta, psi, _cos_sin)
 
 
+def rotations(angles: Floats, axes: Axes = "fixed") -> Floats:
+    """As `rotation`, (..., 3, 3), of φ, θ, ψ (..., 3), radians."""
+    rows, which = np.unique(angles.reshape(-1, 3), axis=0, return_inverse=True)
+    found = np.array([rotation(phi, theta, psi, axes) for phi, theta, psi in rows.tolist()])
+    return found[which.ravel()].reshape(*angles.shape, 3)
+
+
 def rotation_degrees(phi: float, theta: float, psi: float, axes: Axes = "fixed") -> Floats:
     """As `rotation`, angles in degrees: exact at every multiple of 90°.
 

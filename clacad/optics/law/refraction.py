@@ -28,7 +28,7 @@ def refracted(eta: Pair2 | Floats, delta: Pair2 | Floats, turn: Floats, d: Array
 
     eta : (2,) numbers, or (n, 2) array. η along the lens axes: of the sheet, or of each direction.
     delta : (2,) numbers, or (n, 2) array. δ along the lens axes: of the sheet, or of each direction.
-    turn : (3, 3). Lens → sheet.
+    turn : (3, 3), or (n, 3, 3) array. Lens → sheet: of the sheet, or of each direction.
     d : (n, 3) array, or (..., 3) where δ is one
         Directions in the sheet frame, any length > 0; (n, 3) also where η is of each.
     Returns array of the shape of d: Unit directions, NaN rows where the law has no answer.
@@ -43,12 +43,13 @@ def refracted(eta: Pair2 | Floats, delta: Pair2 | Floats, turn: Floats, d: Array
     for start in range(0, len(rows), _BLOCK):
         block = slice(start, start + _BLOCK)
         of_rows = [(one if one.ndim == 1 else one[block]).T for one in (ratio, each)]
-        out[block] = _refract_rows(of_rows[0], of_rows[1], turn, rows[block])
+        axes = turn if turn.ndim == 2 else np.moveaxis(turn[block], 0, -1)
+        out[block] = _refract_rows(of_rows[0], of_rows[1], axes, rows[block])
     return out.reshape(directions.shape)
 
 
 def _refract_rows(eta: Floats, delta: Floats, r: Floats, directions: Floats) -> Floats:
-    """`refracted` for (n, 3) directions; η and δ are (2,) or (2, n)."""
+    """`refracted` for (n, 3) directions; η and δ are (2,) or (2, n), r is (3, 3) or (3, 3, n)."""
     # Scale rows by powers of two; rows without an answer are replaced by the sheet's normal.
     largest = np.maximum(
         np.maximum(np.abs(directions[:, 0]), np.abs(directions[:, 1])), np.abs(directions[:, 2])
@@ -61,7 +62,7 @@ def _refract_rows(eta: Floats, delta: Floats, r: Floats, directions: Floats) -> 
     # Rotate into the lens frame; untilted sheets skip it, which keeps tiny components relative.
     turned = not np.array_equal(r, np.eye(3))
     if turned:
-        x, y, z = _times(r.T, x, y, z)
+        x, y, z = _times(r.swapaxes(0, 1), x, y, z)
         answered &= z > 0.0
 
     # Apply M; each component is significand · 2**exponent.

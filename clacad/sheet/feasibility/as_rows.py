@@ -295,10 +295,17 @@ def _field(window: Window, facts: Feasibility) -> list[Entry]:
 def _imaging(window: Window, write: _Writer) -> list[Entry]:
     """Foci and nodal point of a sheet with a varying law, zone of a superlens; none of a uniform sheet."""
     laws = window.cell_laws
-    if laws is not None and laws.ratios is not None:
-        etas = laws.ratios_of(window.lattice, window.lattice.cells())
+    if laws is not None and laws.own_lenses:
+        cells = window.lattice.cells()
         means = "of the cells; focal lengths and what follows from them are those of the middle one"
-        return [("eta, least and greatest", (float(etas.min()), float(etas.max())), "", means)]
+        turns = np.degrees(laws.angles_of(window.lattice, cells)[:, ::2].sum(axis=1))
+        each = {"eta": laws.ratios_of(window.lattice, cells), "phi + psi (deg)": turns}
+        told = [laws.ratios is not None, laws.angles is not None]
+        return [
+            (f"{name}, least and greatest", (float(numbers.min()), float(numbers.max())), "", means)
+            for (name, numbers), differ in zip(each.items(), told, strict=True)
+            if differ
+        ]
     if laws is None or laws.smooth is None:
         return []
     x, y = along_axes(laws.smooth, window.thin.separation)

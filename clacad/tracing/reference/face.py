@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clacad.base.types import Bools, Floats
-from clacad.optics.sequence import to_sheet, to_surface
+from clacad.base.vectors import to_sheet, to_surface
 from clacad.optics.surface import Quadric, Surface, gradient, meet_at, refract
 from clacad.sheet.cell_places import LensPlaces
 from clacad.sheet.face_order import lined_array
@@ -44,15 +44,16 @@ def cross(
 
     places : here and below. Position of each ray's lens, see `clacad.tracing.layout.lenses`.
     """
-    ray = to_surface(face.rotation, direction)
+    turn = places.axes(face.rotation)
+    ray = to_surface(turn, direction)
     surface = places.shape(face.surface)
-    met, point = meet_at(surface, to_surface(face.rotation, _start(places, local, z)), ray)
+    met, point = meet_at(surface, to_surface(turn, _start(places, local, z)), ray)
     out, _ = refract(ray, met.gradient, met.root, n1, n2)
     upright = np.isfinite(met.distance)
-    if face.rotation is not None:
+    if turn is not None:
         with np.errstate(invalid="ignore"):
-            upright &= met.gradient @ face.rotation[2] > 0.0
-    return _hit(places, to_sheet(face.rotation, point), met.distance, to_sheet(face.rotation, out), upright)
+            upright &= to_sheet(turn, met.gradient)[:, 2] > 0.0
+    return _hit(places, to_sheet(turn, point), met.distance, to_sheet(turn, out), upright)
 
 
 def cross_at(
@@ -69,7 +70,8 @@ def cross_at(
 
     `meet` returns the other crossing where a ray falls in the lens's frame while it rises in the sheet's.
     """
-    start, ray = to_surface(face.rotation, _start(places, local, z)), to_surface(face.rotation, direction)
+    turn = places.axes(face.rotation)
+    start, ray = to_surface(turn, _start(places, local, z)), to_surface(turn, direction)
     if places.size is not None:
         distance = distance / places.size
     surface = places.shape(face.surface)
@@ -81,7 +83,7 @@ def cross_at(
     normal, _ = _upward(surface, point)
     root = (ray * normal).sum(axis=1)
     out, _ = refract(ray, normal, root, n1, n2)
-    return _hit(places, to_sheet(face.rotation, point), distance, to_sheet(face.rotation, out), root > 0.0)
+    return _hit(places, to_sheet(turn, point), distance, to_sheet(turn, out), root > 0.0)
 
 
 def _start(places: LensPlaces, local: Floats, z: Floats) -> Floats:
@@ -172,7 +174,8 @@ def lens_roots(
     Roots only divide the ray into stretches; heights decide what each stretch is. A root of the half beyond
     the equator is therefore harmless.
     """
-    p, d = to_surface(face.rotation, _start(places, local, z)), to_surface(face.rotation, direction)
+    turn = places.axes(face.rotation)
+    p, d = to_surface(turn, _start(places, local, z)), to_surface(turn, direction)
     one, other = _roots_of_one(places.shape(face.surface), p, d)
     return (one, other) if places.size is None else (one * places.size, other * places.size)
 
@@ -269,8 +272,6 @@ def lens_normals(face: FacePlan, local: Floats, z: Floats, places: LensPlaces) -
 
     places : Position of each point's lens, see `clacad.tracing.layout.lenses`.
     """
-    surface, point = places.shape(face.surface), _start(places, local, z)
-    if face.rotation is None:
-        return surface.normal(point[:, 0], point[:, 1])
-    turned = point @ face.rotation
-    return np.asarray(surface.normal(turned[:, 0], turned[:, 1]) @ face.rotation.T)
+    surface, turn = places.shape(face.surface), places.axes(face.rotation)
+    x, y, _ = to_surface(turn, _start(places, local, z)).T
+    return to_sheet(turn, surface.normal(x, y))

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints, Pair2, Rows
+from clacad.base.vectors import to_sheet, to_surface
 from clacad.optics.rays import NO_CELL, Fate
-from clacad.optics.sequence import to_sheet, to_surface
 from clacad.sheet.cell_places import CellPlacement, LensPlaces, VertexChange, extreme_cells
 from clacad.sheet.face_order import lined_array
 from clacad.sheet.lattice import Circle, Outline
@@ -78,12 +78,13 @@ class ThinPatch:
         """Unit directions (m, 3) behind the lens of rays that meet it at the given points of their cells."""
         places = self.lenses(layout, cell)
         vx, vy, vz = places.apex
-        p, q, _ = to_surface(self.rotation, np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])).T
+        turn = places.axes(self.rotation)
+        p, q, _ = to_surface(turn, np.column_stack([local[:, 0] - vx, local[:, 1] - vy, z - vz])).T
         size, size_y = places.focal((1.0, 1.0))
         p, q = p / size, q / size_y
-        x, y, along = to_surface(self.rotation, direction).T
+        x, y, along = to_surface(turn, direction).T
         lens = np.stack([x - p * self.power[0] * along, y - q * self.power[1] * along, along], axis=-1)
-        out = to_sheet(self.rotation, lens)
+        out = to_sheet(turn, lens)
         return np.asarray(out / np.linalg.norm(out, axis=1)[:, None])
 
     def climb(self, direction: Floats) -> Floats:

@@ -20,7 +20,7 @@ from clacad.optics.surface import Biconic, EvenPolynomial, Quadric, Surface
 from clacad.sheet.cell_places import VertexChange
 from clacad.sheet.face_order import refractions
 from clacad.sheet.pattern import cosine_and_sine
-from clacad.sheet.window import Face, Window, own_surface
+from clacad.sheet.window import Face, Window
 
 Ints = NDArray[np.integer]
 Vector = tuple[Decimal, Decimal, Decimal]
@@ -104,8 +104,7 @@ def _steps(window: Window, cell: Ints, order: Ints) -> list[_Step]:
             vertex = _added(vertex, _centre(window, i, j, face.array))
             if face.change is not None:
                 vertex = _added(vertex, _moved(window, face.change, i, j))
-                places = window.lenses(face, np.array([i, j]))
-                face = replace(face, surface=own_surface(face, places))
+                face = window.in_cell(face, np.array([i, j]))
         turn = None
         if not face.untilted:
             columns = face.rotation.T

@@ -76,7 +76,7 @@ def _named(seen: SeenCell, check: Check) -> Check:
     if check.kind in (ETA, DELTA, TILT):
         words = f"over the light of {seen.tried} cells"
         laws = seen.window.cell_laws
-        words += ", each taken by its own eta" if laws is not None and laws.ratios is not None else ""
+        words += ", each taken by its own law" if laws is not None and laws.own_lenses else ""
     words += f": {check.sentence}"
     if check.kind is LAW_RMS and seen.others is not None:
         words += f"; in the others {mrad_text(seen.others[0], unit='')} to {mrad_text(seen.others[1])}"

@@ -141,24 +141,13 @@ def fitted_over_all(optics: Optics, tried: list[SeenCell], field: float) -> Opti
 
 
 def _as_in_the_middle(window: Window, cells: Ints, direction: Floats) -> Floats:
-    """Directions (n, 3) of light of cells with their own laws, mapped to the equivalent input of the
-    middle's law.
-
-    With t' = (t − δ)/η, the effect of a cell on slope t equals that of the middle on (t − δ) η₀/η + δ₀.
+    """Directions (n, 3) of light of cells with their own laws, mapped to the equivalent input of the middle's
+    law: that which leaves by it as the light does by its cell's law.
     """
-    law, laws, lattice = window.law, window.cell_laws, window.lattice
-    if laws is None:
+    if window.cell_laws is None:
         return direction
-    over = laws.deltas(lattice, cells) - (law.delta_x, law.delta_y)
-    lens, each = direction @ law.rotation, len(direction) // len(cells)
-    if laws.ratios is None:
-        lens[:, :2] -= np.repeat(over, each, axis=0) * lens[:, 2:]
-    else:
-        ratio = (law.eta_x, law.eta_y) / laws.ratios_of(lattice, cells)
-        shift = ratio * over + (ratio - 1.0) * (law.delta_x, law.delta_y)
-        ratio, shift = (np.repeat(rows, each, axis=0) for rows in (ratio, shift))
-        lens[:, :2] = ratio * lens[:, :2] - shift * lens[:, 2:]
-    return np.asarray(lens @ law.rotation.T)
+    own = np.repeat(cells, len(direction) // len(cells), axis=0)
+    return window.law.inverse().refract(window.cell_laws.refract(window.lattice, own, direction))
 
 
 DIRECTIONS = 49
