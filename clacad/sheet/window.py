@@ -616,7 +616,7 @@ def lens_height_and_normal(face: Face, x: Floats, y: Floats) -> tuple[Floats, Fl
 
 
 def seen_along(rows: Floats, rotation: Floats) -> Floats:
-    """Rows (n, 3) of sheet axes along the axes of one lens, (3, 3) lens → sheet, or of one each, (n, 3, 3)."""
+    """Rows (n, 3) of sheet axes along the axes of one lens (3, 3), lens → sheet, or of one each (n, 3, 3)."""
     return np.asarray(rows @ rotation if rotation.ndim == 2 else to_surface(rotation, rows))
 
 

@@ -237,12 +237,12 @@ QUADRATURE = 1e-12
 """Relative error per face requested of OCCT's adaptive quadrature of an area."""
 
 SUFFICIENT = 1e-9
-"""Relative error per face requested of its Gauss-Kronrod quadrature of a volume; that of a sheet errs by up to 1e-10."""
+"""Relative error per face requested of its Gauss-Kronrod quadrature of a volume; that of a sheet: 1e-10."""
 
 
 def volume(shape: Any) -> float:
-    """Volume over a plane below by OCCT's Gauss-Kronrod quadrature, mm³, without walls along z: they have no
-    part in it, and the quadrature of nothing but rounding errors does not end.
+    """Volume over a plane below by OCCT's Gauss-Kronrod quadrature, mm³, without walls along z: they have
+    no part in it, and the quadrature of nothing but rounding errors does not end.
 
     Its adaptive one errs, without reporting that, by 5e-9 over steep conics and walls that end in a point,
     and by 1e-5 where many splines bound a plane.
