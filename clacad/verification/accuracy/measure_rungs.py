@@ -192,7 +192,7 @@ def spectrum_cost(design: Design, cell: SeenCell, lit: Bundle) -> SpectrumCost |
 
 
 def made_cost(design: Design, cell: SeenCell, lit: Bundle) -> MadeCost | None:
-    """Time a bundle as designed and as made; None where no process is stated or the sheet cannot be judged as made."""
+    """Time a bundle as designed and as made; None without a process, or where that cannot be judged."""
     from clacad.making.light_as_made import costs_alone, light_as_made, made_of
     from clacad.storage.errors import NotPossible
     from clacad.tracing.trace import trace
