@@ -304,7 +304,9 @@ def corrected(folder: Path) -> None:
         for maker in MAKERS.values():
             first, *_, last = parts(design(name), maker, 2)
             values = (best, light(design(name), first), light(design(name), last))
-            rows.append([f"`{name}`", maker.name, *(f"{1e3 * v:.3f}" for v in values), f"{values[2] / best:.2f}"])
+            rows.append(
+                [f"`{name}`", maker.name, *(f"{1e3 * v:.3f}" for v in values), f"{values[2] / best:.2f}"]
+            )
     head = ["design", "process", "as designed", "as made", "after two corrections", "over the design's"]
     (folder / "corrected.md").write_text(_table(head, rows, texts=2), encoding="utf-8")
 
