@@ -63,14 +63,14 @@ def accuracy(folder: Path) -> None:
     cost = _table(
         ["traced", "rms error / mrad", "µs a ray"],
         (
-            [_rung(row), f"{1e3 * row['model_rms']:.2g}", f"{1e6 * row['seconds'] / row['rays']:.2g}"]
+            [_rung(row), f"{1e3 * row['model_rms']:.2g}", _number(1e6 * row["seconds"] / row["rays"])]
             for row in rows
         ),
     )
     floors = _table(
         ["file", "normals", "least error / mrad", "at quads a cell side"],
         (
-            [one["formats"], one["normals"], f"{1e3 * one['floor']:.2g}", f"{one['best_quads']:.3g}" if one["best_quads"] else ""]
+            [one["formats"], one["normals"], f"{1e3 * one['floor']:.2g}", _number(one["best_quads"], 3) if one["best_quads"] else ""]
             for one in found["floors"]
             if one["floor"] is not None
         ),
@@ -175,11 +175,11 @@ def _plain(text: str) -> str:
     return re.sub(r"([|*_`<>$\\])", r"\\\1", text)
 
 
-def _number(value: Any) -> str:
-    """Error in units of rounding; what is no number is a wrong answer."""
-    return (
-        f"{value:.2g}" if isinstance(value, int | float) and np.isfinite(value) else str(value or "no number")
-    )
+def _number(value: Any, digits: int = 2) -> str:
+    """Some digits of a number, as an error in units of rounding; what is no number is a wrong answer."""
+    if not isinstance(value, int | float) or not np.isfinite(value):
+        return str(value or "no number")
+    return f"{float(f'{value:.{digits}g}'):g}"
 
 
 def _size(value: Any, otherwise: float) -> float:
@@ -304,7 +304,9 @@ def corrected(folder: Path) -> None:
         for maker in MAKERS.values():
             first, *_, last = parts(design(name), maker, 2)
             values = (best, light(design(name), first), light(design(name), last))
-            rows.append([f"`{name}`", maker.name, *(f"{1e3 * v:.3f}" for v in values), f"{last / best:.2f}"])
+            rows.append(
+                [f"`{name}`", maker.name, *(f"{1e3 * v:.3f}" for v in values), f"{values[2] / best:.2f}"]
+            )
     head = ["design", "process", "as designed", "as made", "after two corrections", "over the design's"]
     (folder / "corrected.md").write_text(_table(head, rows, texts=2), encoding="utf-8")
 

@@ -396,6 +396,14 @@ class _Page(HTMLParser):
                 self.links.add(value)
 
 
+def keep_options(app: Any, name: str, template: str, context: dict[str, Any], tree: Any) -> None:
+    """Mark options in commands, which a narrow page does not break at their hyphens."""
+    if "body" in context:
+        context["body"] = re.sub(
+            r"(?<=</span>)(--?\w[\w-]*)(?=[<\s])", r'<span class="option">\1</span>', context["body"]
+        )
+
+
 def dead_links(built: Path) -> list[str]:
     """Local links of built pages whose file or anchor does not exist."""
     pages = {path.resolve(): _Page(path.read_text(encoding="utf-8")) for path in built.rglob("*.html")}
@@ -419,5 +427,6 @@ def check(app: Any, error: Exception | None) -> None:
 def setup(app: Any) -> dict[str, Any]:
     """Register with Sphinx."""
     app.connect("config-inited", make)  # before autosummary looks for pages
+    app.connect("html-page-context", keep_options)
     app.connect("build-finished", check)
     return {"parallel_read_safe": True}

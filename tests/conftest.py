@@ -59,10 +59,12 @@ OF_SOURCES = (
 """Tests that parse the whole package: one worker runs them all."""
 
 
-def mark_by_case(item: pytest.Item, case: str) -> None:
-    """Mark a case as slow or long that its test does not name among those to run."""
-    slow = bool(item.get_closest_marker("slow")) or any(
-        case not in mark.args for mark in item.iter_markers("daily_cases")
+def mark_by_case(item: pytest.Item, case: str, number: int) -> None:
+    """Mark a case as slow or long that its test does not name among those to run; `number`: its place in the family."""
+    slow = (
+        bool(item.get_closest_marker("slow"))
+        or any(case not in mark.args for mark in item.iter_markers("daily_cases"))
+        or any(number % mark.args[0] for mark in item.iter_markers("daily_share"))
     )
     by_hand = slow and any(case not in mark.args for mark in item.iter_markers("ci_cases"))
     if by_hand or item.get_closest_marker("long"):
@@ -78,14 +80,15 @@ def mark_by_case(item: pytest.Item, case: str) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark what is slow.
 
-    A heavy family of cases states at its test which cases run by default (`daily_cases`) and which slow ones continuous
-    integration runs (`ci_cases`); the other cases are slow, or long.
+    A heavy family of cases states at its test which cases run by default (`daily_cases`, or every n-th by `daily_share`)
+    and which slow ones continuous integration runs (`ci_cases`); the other cases are slow, or long.
     """
     cases: dict[str, set[str]] = {}
     for item in items:
         test, _, case = item.nodeid.removesuffix("]").partition("[")
-        cases.setdefault(test, set()).add(case)
-        mark_by_case(item, case)
+        family = cases.setdefault(test, set())
+        mark_by_case(item, case, len(family))
+        family.add(case)
     if not any("::" in argument for argument in config.args):
         for item in items:
             test = item.nodeid.partition("[")[0]

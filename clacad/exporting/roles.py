@@ -118,9 +118,9 @@ ABOVE_FACE = Storing("heights above the face's plane, float32", Holding("face"),
 SIXTEEN_BITS = Storing("heights in 16 bits", Holding("face", "levels"), "facet")
 LAYERS = Storing("heights in 64 layers", Holding("face", "levels", 64), "facet")
 AS_PLAIN = Storing("as stl and 3mf: the lenses are the same facets")
-EXACT_FACES = Storing("exact faces; see row step")
+EXACT_FACES = Storing("exact faces")
 ONE_TELESCOPELET = Storing("one telescopelet; optiland: faces of two radii within 1e-13 rad of slope")
-OWN_NUMBERS = Storing("the surfaces' own numbers; see row surfaces")
+OWN_NUMBERS = Storing("the surfaces' own numbers")
 AT_POINTS = Storing("exact heights and slopes at points; the reader interpolates")
 NO_SURFACE = Storing("no refracting surface")
 

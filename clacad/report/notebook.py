@@ -66,8 +66,8 @@ def plot(thing: Design | Window | Report, figure: Figure | None = None) -> Figur
 
 
 def as_html(thing: Design | Window | Report) -> str:
-    """Return what a notebook shows of a design, window or report: its text and a picture, as self-
-    contained HTML.
+    """Return what a notebook shows of a design, window or report: its text and a picture, as HTML
+    that holds all of it.
 
     A design that cannot be built is shown with the reason.
 

@@ -90,6 +90,7 @@ def indexed(sheet, n):
     return replace(sheet, bodies=tuple(replace(b, index=n, material=None) for b in sheet.bodies))
 
 
+@pytest.mark.daily_share(3)
 @pytest.mark.parametrize("effect", [n for n in NAMES if n != "facets"])
 @pytest.mark.parametrize("name", ["slab", "tilted-biconvex"])
 def test_labels_of_geometry_never_change(effect, name):

@@ -289,6 +289,7 @@ def tested(mutation, workplace):
         "PYTHONDONTWRITEBYTECODE": "1",
     }
     command = [sys.executable, "-m", "pytest", "-q", "--no-header", "--tb=no", "-rfE", "--maxfail=1", "-p", "no:cacheprovider",
+               "-m", "not long",
                *shlex.split(mutation.tests)]  # fmt: skip
     run = subprocess.run(command, cwd=workplace, env=environment, capture_output=True, text=True, timeout=900,
                          preexec_fn=bounded)  # fmt: skip

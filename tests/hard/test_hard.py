@@ -62,6 +62,7 @@ def traced(case):
     return result
 
 
+@pytest.mark.daily_share(3)
 @named(HARD)
 def test_a_hard_ray_keeps_the_accuracy_its_condition_allows(case):
     exact = trace_oracle.trace(case.faces, case.start, case.direction)
@@ -77,6 +78,7 @@ def test_a_hard_ray_keeps_the_accuracy_its_condition_allows(case):
     assert error(result.optical_path, exact.optical_path[-1:]) <= 4 * ULP * condition * gone, case.why
 
 
+@pytest.mark.daily_share(3)
 @named_but_slow([case for case in HARD if len(case.faces) == 1 and not case.faces[0].euler])
 def test_the_sag_of_a_hit_keeps_sixteen_ulp_of_itself(case):
     exact = trace_oracle.trace(case.faces, case.start, case.direction, DIGITS)

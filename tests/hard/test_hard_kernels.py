@@ -89,6 +89,7 @@ def by_kernel(case):
     return (Fate.ALIVE if ray[0, 2] > 0 else Fate.BACKWARD), ray[0], path
 
 
+@pytest.mark.daily_share(3)
 @pytest.mark.parametrize("case", HARD, ids=[case.name for case in HARD])
 def test_the_compiled_surfaces_treat_a_hard_ray_as_the_oracle_does(case):
     exact = trace_oracle.trace(case.faces, case.start, case.direction)
@@ -135,6 +136,7 @@ def oracle_of(name):
     return exact, float(sheet_oracle.condition(window, case.start, case.direction)) if decided else 1.0
 
 
+@pytest.mark.daily_share(3)
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("case", SHEETS, ids=[case.name for case in SHEETS])
 def test_a_hard_ray_through_a_whole_sheet_is_traced_as_the_oracle_does(case, path):

@@ -106,6 +106,7 @@ def corner_window(eta, change):
     )
 
 
+@pytest.mark.daily_share(4)
 @pytest.mark.parametrize("eta", [(-1.0, -1.0), (-0.25, -1.0), (-0.25, -0.25)])
 @pytest.mark.parametrize("change", [0.0, 2.0**-52, -(2.0**-52), 1e-12, -1e-12, 1e-6, -1e-6])
 def test_corners_of_no_thickness_break_nothing(eta, change):
@@ -135,6 +136,7 @@ def test_corners_of_no_thickness_break_nothing(eta, change):
 # -- steps between neighbours --------------------------------------------------------------------------------------
 
 
+@pytest.mark.daily_share(3)
 @pytest.mark.parametrize("kind", ["square", "hexagonal"])
 @pytest.mark.parametrize("step", [0.0, 1e-12, 1e-9, 1e-6, 1e-4, 1e-2, 0.1, 0.3, 1.0])
 def test_steps_from_nothing_to_a_pitch_are_traced_alike_and_stay_closed(kind, step):

@@ -77,6 +77,7 @@ def light_of_all_kinds(window, many=4000):
     return clacad.Rays(at - 2.0 * way, way)
 
 
+@pytest.mark.daily_share(4)
 @pytest.mark.ci_cases(
     "aimed, vertices traced-surfaces",
     "pitch of array 2-surfaces",

@@ -112,6 +112,7 @@ def test_ghosts_leave_at_their_own_slopes(eta):
     )
 
 
+@pytest.mark.daily_share(4)
 @pytest.mark.parametrize("rung", ["law", "thin", "surfaces"])
 @pytest.mark.parametrize("name", WINDOWS)
 def test_no_ray_is_lost_on_any_rung(name, rung):

@@ -52,6 +52,7 @@ def in_its_cells(window, result):
     return same
 
 
+@pytest.mark.daily_share(3)
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("name", WINDOWS)
 def test_what_passes_is_what_the_sequence_of_its_surfaces_does(name, path):
@@ -73,6 +74,7 @@ def test_what_passes_is_what_the_sequence_of_its_surfaces_does(name, path):
         np.testing.assert_allclose(result.directions[:, mine], one.directions, rtol=0, atol=1e-13)
 
 
+@pytest.mark.daily_share(3)
 @pytest.mark.parametrize("path", PATHS)
 @pytest.mark.parametrize("name", WINDOWS)
 def test_every_ray_has_one_fate_and_only_invalid_rows_hold_nan(name, path):

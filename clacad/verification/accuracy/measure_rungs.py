@@ -192,7 +192,7 @@ def spectrum_cost(design: Design, cell: SeenCell, lit: Bundle) -> SpectrumCost |
 
 
 def made_cost(design: Design, cell: SeenCell, lit: Bundle) -> MadeCost | None:
-    """Time a bundle as designed and as made; None where the sheet cannot be judged as made."""
+    """Time a bundle as designed and as made; None without a process, or where that cannot be judged."""
     from clacad.making.light_as_made import costs_alone, light_as_made, made_of
     from clacad.storage.errors import NotPossible
     from clacad.tracing.trace import trace
@@ -202,9 +202,11 @@ def made_cost(design: Design, cell: SeenCell, lit: Bundle) -> MadeCost | None:
         found = light_as_made(design, cell.like, len(lit.rays))
     except NotPossible:
         return None
+    name = found.process.name
+    if name == "none":
+        return None
     _, designed_s, _ = timed(lambda: trace(cell.window, cell.placed(lit).rays, path="numba"))
     _, made_s, _ = timed(lambda: made(made.bundle(lit)))
-    name = found.process.name
     costs = tuple(costs_alone(design, cell.like, found))
     return MadeCost(name, found.designed, found.formed, found.everything, designed_s, made_s, costs)
 
