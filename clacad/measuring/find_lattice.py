@@ -22,6 +22,12 @@ from clacad.storage.errors import UnreadableFile
 BLOCKS = 50
 """Blocks of the map over one pitch, at most."""
 
+FEWEST_BLOCKS = 8
+"""Blocks over one pitch by which it is searched, at least."""
+
+ENOUGH = 60_000
+"""Blocks by which the phases of waves are found, at most."""
+
 FEWEST_PIXELS = 12
 """Fewest pixels across a cell."""
 
@@ -86,12 +92,26 @@ class _Blocks:
         columns = np.exp(-2j * pi * np.outer(self.x, fx))
         return np.asarray(rows @ self.values @ columns)
 
+    def joined(self, count: int) -> _Blocks:
+        """Sums of squares of `count` × `count` blocks, for long waves."""
+        rows, columns = self.values.shape
+        both = np.pad([self.values, self.weight], ((0, 0), (0, -rows % count), (0, -columns % count)))
+        shape = (2, -(-rows // count), count, -(-columns // count), count)
+        values, weight = both.reshape(shape).sum(axis=(2, 4))
+        x, y = (
+            one[0] + (one[1] - one[0]) * (0.5 * (count - 1) + count * np.arange(size))
+            for one, size in ((self.x, shape[3]), (self.y, shape[1]))
+        )
+        return _Blocks(values, weight, x, y)
+
     def harmonics(self, waves: Floats) -> NDArrayComplex:
         """First and second harmonic (n, 2) of waves (n, 2), by least squares over what was measured.
 
         Sums over all blocks would take seams that were not measured for heights.
         """
         row, column = np.nonzero(self.weight)
+        few = np.random.default_rng(0).random(len(row)) < ENOUGH / len(row)
+        row, column = row[few], column[few]
         angle = 2.0 * pi * np.stack([self.x[column], self.y[row]], axis=1) @ waves.T
         every = np.hstack([k * angle for k in (1, 2, 3)])
         root = np.sqrt(self.weight[row, column])
@@ -210,6 +230,7 @@ def _waves(design: Pattern) -> Floats:
 
 def _searched(blocks: _Blocks, waves: Floats, design: Pattern) -> Floats:
     """The waves turned and scaled to where the power of the map is largest."""
+    blocks = blocks.joined(max(1, int(min(design.pitch) / (FEWEST_BLOCKS * (blocks.x[1] - blocks.x[0])))))
     size = (np.ptp(blocks.x) + 1e-12, np.ptp(blocks.y) + 1e-12)
     counts = [1 << int(np.ceil(np.log2(4 * n))) for n in blocks.values.shape]
     power = np.abs(np.fft.fft2(blocks.values, counts))

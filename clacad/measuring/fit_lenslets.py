@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import prod
 
 import numpy as np
 
@@ -49,15 +50,21 @@ BLOCKS = 48
 LENS = (0.5, 2.0)
 """Range of the curvature of a lenslet over that of the design's; others are land, dirt, or another thing."""
 
-NEAR = (3, 4)
-"""Degrees of the polynomials next to those of radius and conic constant (2 and 4)."""
-
 GUARD = 1.2
 """Factor by which standard deviations are stated larger than the noise of a lenslet gives them: they are
 known to some per cent only, and twice them must hold 95 % of few lenslets, too."""
 
+CLEARLY = 3.0
+"""Covariance of blocks over its standard deviation from which it is no chance."""
+
+STEPS = 8
+"""Steps by which the variance of form is found; more of them change no number by a tenth of its uncertainty."""
+
 THIN = 2500
 """Points of a lenslet of the first fit."""
+
+LARGE = 500_000
+"""Points of a map from which a part of them places its cells."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +116,7 @@ class Lenslets:
     dome),
         conic constant, and astigmatism at 0 and 45 degrees (1/length).
     covariance : (m, 7, 7)
-    form : (m, k) lengths. Coefficients of Legendre polynomials over the aperture that the fit leaves, shrunk.
+    form : (m, k) lengths. Expected coefficients of Legendre polynomials over the aperture beyond the conic.
     u_form : (m, k) lengths. Standard deviations of the coefficients.
     texture : (m,) lengths. Rms of what form and fit leave.
     lattice : Found. Lattice of the middles, in the map's axes once its plane is level.
@@ -319,55 +326,65 @@ def fit_lenslets(measured: MeasuredMap, design: Pattern, aperture: Aperture, tar
         replace(measured, points=points), design, lambda u, v: conic(start, u, v, slopes=False)[0]
     )
     grid = _grid(aperture, max(measured.pixel))
+    few = _some(measured.points, THIN * prod(measured.pixel) / float(np.prod(2.0 * aperture.half)))
     alike = np.ptp(targets(np.array([[0, 0], [1, 0], [0, 1]])), axis=0).any() == 0
     for last in (False, True) if alike else (False, False, True):  # middles of cells follow from lenses
-        cells, groups = _grouped(points, found, aperture, grid)
+        cells, groups = _grouped(level @ (measured.points if last else few), found, aperture, grid)
         wanted = targets(np.array(cells, dtype=np.int64).reshape(-1, 2))
-        fits = [_fitted(group, one, grid, last) for group, one in zip(groups, wanted, strict=True)]
-        kept = [k for k, one in enumerate(fits) if _is_lens(one.values, wanted[k], aperture)]
+        first = [_fitted(group, one) for group, one in zip(groups, wanted, strict=True)]
+        kept = [k for k, one in enumerate(first) if _is_lens(one, wanted[k], aperture)]
         if not kept:
             raise NotMeasurable(
                 f"{measured.name}: no whole lenslet: a cell is whole where its measured aperture"
                 f" lies in the map and {100 * PRESENT:g} % of its parts hold points"
             )
-        fits = [fits[k] for k in kept]
-        index, values = np.array(cells)[kept], np.array([one.values for one in fits])
+        values = np.array([first[k] for k in kept])
+        if last:
+            fits = _refined([_sums(groups[k], one, grid) for k, one in zip(kept, values, strict=True)], grid)
+            values = np.array([one.values for one in fits])
+        index = np.array(cells)[kept]
         found, plane, values = _placed(found, index, values, wanted[kept])
         if not last:
-            turn, points = _levelled(points, plane[1:])
+            turn, _ = _levelled(np.empty((3, 0)), plane[1:])
             level = turn @ level
-    stacked = [
+    covariance, form, u_form, texture = (
         np.array([getattr(one, name) for one in fits]) for name in ("covariance", "form", "u_form", "texture")
-    ]
-    covariance, form, u_form, texture = stacked
-    empty = _empty(measured, level, found, aperture, cells, index)
-    wider = _scatter(form, u_form)
-    u_form = u_form * np.sqrt(wider)
-    least = shrunk(form, u_form)
+    )
+    empty = _empty(measured, few, level, found, aperture, cells, index)
     return Lenslets(
-        index, values, covariance * wider, least, u_form, texture, found, level, plane, aperture, empty
+        index,
+        values,
+        GUARD**2 * covariance,
+        form,
+        GUARD * u_form,
+        texture,
+        found,
+        level,
+        plane,
+        aperture,
+        empty,
     )
 
 
-def _scatter(form: Floats, u_form: Floats) -> float:
-    """Factor of variances by which forms (m, k) of like degrees as the conic differ between lenslets.
-
-    Form that all lenslets have in common is that of their tool. By as much as it differs from one to the
-    other the conics may be in error, too: by texture of long waves, or errors of the instrument on slopes.
-    """
-    near = slice(NEAR[0] * (NEAR[0] + 1) // 2, (NEAR[1] + 1) * (NEAR[1] + 2) // 2)
-    count = len(form)
-    off = form[:, near] - (form[:, near].mean(axis=0) if count > 1 else 0.0)
-    square = np.mean(off**2 / np.maximum(u_form[:, near] ** 2, 1e-300), axis=1) * count / max(1, count - 1)
-    return GUARD**2 * max(1.0, float(np.median(square)))
+def _some(points: Floats, share: float) -> Floats:
+    """A share of the points (3, n) of a large map, which places its cells; all of a small one."""
+    if points.shape[1] <= LARGE:
+        return points
+    return points[:, np.random.default_rng(0).random(points.shape[1]) < share]
 
 
 def _empty(
-    measured: MeasuredMap, level: Floats, found: Found, aperture: Aperture, seen: Sequence[Step], index: Ints
+    measured: MeasuredMap,
+    points: Floats,
+    level: Floats,
+    found: Found,
+    aperture: Aperture,
+    seen: Sequence[Step],
+    index: Ints,
 ) -> Ints:
     """Cells (k, 2) whose apertures lie in a map, and which hold few points, or no lenslet but points enough.
 
-    seen : Cells with points enough for a fit; index : (m, 2) those of them that are lenslets.
+    points : (3, n) of the map; seen : Cells with points enough for a fit; index : (m, 2) those of them that are lenslets.
     """
     size = 0.5 * np.array(measured.shape[::-1]) * measured.pixel
     reach = int(np.hypot(*size) / np.hypot(*found.basis).min()) + 1
@@ -376,11 +393,11 @@ def _empty(
     at = found.centres(every)[:, :, None] + corners
     flat = np.einsum("ik,mkc->mic", level.T[:2, :2], at)
     every = every[(np.abs(flat) <= size[:, None]).all(axis=(1, 2))]
-    x, y = (level @ measured.points)[:2]
+    x, y = level[:2] @ points
     cell = np.rint(found.index(x, y)).astype(np.int64)
     held = np.zeros(2 * reach + np.array([3, 3]), dtype=np.int64)
     at = np.clip(cell + reach + 1, 0, 2 * reach + 2)
-    np.add.at(held, (at[0], at[1]), 1)
+    held += np.bincount(at[0] * held.shape[1] + at[1], minlength=held.size).reshape(held.shape)
     points = held[tuple((every + reach + 1).T)]
     usual = np.median(held[tuple((index + reach + 1).T)])
     lenses, fitted = set(map(tuple, index.tolist())), set(seen)
@@ -431,7 +448,7 @@ def _grouped(
     low, high = cell.min(axis=1), cell.max(axis=1)
     rows = int(high[1] - low[1]) + 1
     number = (cell[0, kept] - low[0]) * rows + cell[1, kept] - low[1]
-    order = np.argsort(number, kind="stable")
+    order = np.argsort(number.astype(np.min_scalar_type(int(number.max(initial=0)))), kind="stable")
     kept, number = kept[order], number[order]
     tiles = min(TILES, max(3, grid.side // 3))
     corners = np.array([[sx * aperture.half[0], sy * aperture.half[1]] for sx in (-1, 1) for sy in (-1, 1)])
@@ -471,6 +488,60 @@ def _whole(table: Floats, aperture: Aperture, tiles: int) -> bool:
     return bool(held[wanted].mean() >= PRESENT and all(side.mean() >= ALONG for side in sides))
 
 
+def _fitted(table: Floats, start: Floats) -> Floats:
+    """Numbers (7,) of one lenslet by a part of its points (3, n)."""
+    u, v, z = table[:, :: max(1, table.shape[1] // THIN)]
+    values = start.copy()
+    values[2] += np.median(z - conic(values, u, v, slopes=False)[0])
+    values = _solved(values, u, v, z, 2)
+    kept = _near(z - conic(values, u, v, slopes=False)[0])
+    return _solved(values, u[kept], v[kept], z[kept], 3)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Block means of what a first fit leaves of a lenslet.
+
+    values : (7,) The first fit.
+    weight, mean : (blocks,) Points of each block inside, and their mean.
+    square, form : (c, c), (c,) Normal equations of Legendre polynomials over them, and their solution.
+    own : (c, c). Takes from coefficients what the conic can follow.
+    share : (7, c). Numbers of the conic that follow coefficients, by least squares over the whole aperture.
+    spread : Variance of a point.
+    texture : Rms of what the polynomials leave of single points.
+    """
+
+    values: Floats
+    weight: Floats
+    mean: Floats
+    square: Floats
+    form: Floats
+    own: Floats
+    share: Floats
+    spread: float
+    texture: float
+
+
+def _sums(table: Floats, values: Floats, grid: _Grid) -> _Sums:
+    """Block means of one lenslet by all its points (3, n), without spikes and dirt."""
+    u, v, z = table
+    off = z - conic(values, u, v, slopes=False)[0]
+    block, kept = grid.block(u, v), _near(off)
+    smooth = np.zeros(grid.side * grid.side)
+    for _ in range(2):
+        form, square, weight, mean = _form(off, block, kept, grid)
+        smooth[grid.inside] = grid.basis @ form
+        rest = off - smooth[block]
+        kept = kept if _ else _near(rest)
+    slopes = conic(values, *grid.places)[1]
+    # the aperture as a whole counts, not the points that were not lost: of both the form is weighed alike
+    share = _least_squares(slopes, np.ones(len(weight)), mean)[1] @ grid.basis
+    own = np.eye(len(form)) - grid.inverse @ slopes @ share
+    spread = max(grid.noise(weight, mean - grid.basis @ form), 1e-300)
+    texture = float(np.sqrt(np.mean(rest[kept] ** 2)))
+    return _Sums(values, weight, mean, square, form, own, share, spread, texture)
+
+
 @dataclass(frozen=True, eq=False)
 class _Fit:
     values: Floats
@@ -480,37 +551,78 @@ class _Fit:
     texture: float
 
 
-def _fitted(table: Floats, start: Floats, grid: _Grid, last: bool) -> _Fit:
-    """Fit one lenslet by its points (3, n); its form and uncertainties only in the last round."""
-    u, v, z = table[:, :: max(1, table.shape[1] // THIN)]
-    values = start.copy()
-    values[2] += np.median(z - conic(values, u, v, slopes=False)[0])
-    values = _solved(values, u, v, z, 2)
-    kept = _near(z - conic(values, u, v, slopes=False)[0])
-    values = _solved(values, u[kept], v[kept], z[kept], 3)
-    if not last:
-        return _Fit(values, np.empty(0), np.empty(0), np.empty(0), 0.0)
-    u, v, z = table
-    off = z - conic(values, u, v, slopes=False)[0]
-    block = grid.block(u, v)
-    form, square, weight, mean = _form(off, block, _near(off), grid)
-    smooth = np.zeros(grid.side * grid.side)
-    smooth[grid.inside] = grid.basis @ form
-    kept = _near(off - smooth[block])
-    form, square, weight, mean = _form(off, block, kept, grid)
-    slopes = conic(values, *grid.places)[1]
-    straight, best = _least_squares(slopes, weight, mean)
-    # the aperture as a whole counts, not the points that were not lost: of both the form is weighed alike
-    share = _least_squares(slopes, np.ones(len(weight)), mean)[1] @ grid.basis
-    own = np.eye(len(form)) - grid.inverse @ slopes @ share
-    spread = grid.noise(weight, mean - grid.basis @ form)
-    of_form = own @ np.linalg.inv(square) @ own.T * spread
-    u_form = np.sqrt(np.maximum(np.diag(of_form), 0.0))
-    fitted, form = form, own @ form
-    values = values + straight - best @ (grid.basis @ shrunk(form, u_form))
-    smooth[grid.inside] = grid.basis @ form + slopes @ (share @ fitted)
-    texture = float(np.sqrt(np.mean((off - smooth[block])[kept] ** 2)))
-    return _Fit(values, best / np.maximum(weight, 1e-300) @ best.T * spread, form, u_form, texture)
+def _refined(every: Sequence[_Sums], grid: _Grid) -> list[_Fit]:
+    """Numbers and forms of all lenslets of a map, with their covariances.
+
+    Form beyond the conic has, in each degree, the variance that the lenslets of the map show, and the mean 0.
+    It decides where no points are: the numbers are those of the form over the whole aperture.
+    """
+    longer = _long_waves(every, grid)
+    every = [replace(one, spread=longer * one.spread) for one in every]
+    weak = _weakness(every, grid.basis.shape[1])
+    fits = []
+    for one in every:
+        inverse = np.linalg.inv(one.square + one.own.T @ (weak[:, None] * one.own))
+        form = one.own @ inverse @ (grid.basis.T @ (one.weight * one.mean))
+        straight, best = _least_squares(conic(one.values, *grid.places)[1], one.weight, one.mean)
+        u_form = np.sqrt(np.maximum(one.spread * np.einsum("ij,jk,ik->i", one.own, inverse, one.own), 0.0))
+        fits.append(
+            _Fit(
+                one.values + straight - best @ (grid.basis @ form),
+                one.spread * (one.share @ inverse @ one.share.T),
+                form,
+                u_form,
+                one.texture,
+            )
+        )
+    return fits
+
+
+def _long_waves(every: Sequence[_Sums], grid: _Grid) -> float:
+    """Factor by which noise of waves as long as the conic has more power than that of shorter ones.
+
+    It is the sum of the covariances of blocks, ring by ring of distances, as long as they are clearly there:
+    roughness that is alike over several blocks is no white noise.
+    """
+    held = np.zeros((2, len(every), grid.side * grid.side))
+    for k, one in enumerate(every):
+        known = one.weight > 0.0
+        held[:, k, grid.inside] = known, known * (one.mean - grid.basis @ one.form)
+    size = (2 * grid.side, 2 * grid.side)
+    waves = np.fft.rfft2(held.reshape(2, -1, grid.side, grid.side), size)
+    pairs, product = np.fft.irfft2((np.abs(waves) ** 2).sum(axis=1), size)
+    pairs = np.maximum(pairs, 1e-9)
+    distance = np.minimum(np.arange(size[0]), size[0] - np.arange(size[0]))
+    ring = np.maximum(distance[:, None], distance)
+    total = alone = float(product[0, 0] / pairs[0, 0])
+    for k in range(1, grid.side // 4 + 1):
+        own = ring == k
+        mean = float(product[own].sum() / pairs[own].sum())
+        if mean < CLEARLY * alone * np.sqrt(2.0 / pairs[own].sum()):
+            break
+        total += float(np.sum(product[own] / pairs[own]))
+    points = np.mean([one.weight.sum() / max(1, np.count_nonzero(one.weight)) for one in every])
+    return max(1.0, total * float(points) / float(np.mean([one.spread for one in every])))
+
+
+def _weakness(every: Sequence[_Sums], count: int) -> Floats:
+    """Weight (c,), in points, of the expectation that a coefficient is 0: variance of noise over that of form.
+
+    Most likely variance of the coefficients of each degree, found by steps of expectation and maximization;
+    degrees that the conic follows are free.
+    """
+    degree = np.array([d for d in range(count) for _ in range(d + 1)])[:count]
+    noise = float(np.mean([one.spread for one in every]))
+    weak = np.where(degree < 3, 0.0, PRIOR)
+    for _ in range(STEPS):
+        seen = np.zeros(count)
+        for one in every:
+            inverse = np.linalg.inv(one.square + one.own.T @ (weak[:, None] * one.own))
+            form = one.own @ inverse @ one.square @ one.form
+            seen += form**2 + one.spread * np.einsum("ij,jk,ik->i", one.own, inverse, one.own)
+        for d in range(3, int(degree[-1]) + 1):
+            weak[degree == d] = noise * len(every) / max(float(seen[degree == d].mean()), 1e-300)
+    return weak
 
 
 def pooled_form(u: Floats, v: Floats, off: Floats, aperture: Aperture, pixel: float) -> tuple[Floats, Floats]:
@@ -529,13 +641,9 @@ def pooled_form(u: Floats, v: Floats, off: Floats, aperture: Aperture, pixel: fl
     for _ in range(2):
         smooth[grid.inside] = grid.basis @ form
         form, square, weight, mean = _form(off, block, _near(off - smooth[block]), grid)
-    covariance = np.linalg.inv(square) * (GUARD**2 * grid.noise(weight, mean - grid.basis @ form))
+    covariance = np.linalg.inv(square + PRIOR * np.eye(len(form)))
+    covariance *= GUARD**2 * grid.noise(weight, mean - grid.basis @ form)
     return form, np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
-
-
-def shrunk(form: Floats, u_form: Floats) -> Floats:
-    """Coefficients of least expected error: each less the part that its standard deviation may have made."""
-    return np.asarray(form * np.maximum(0.0, 1.0 - u_form**2 / np.maximum(form**2, 1e-300)))
 
 
 def _least_squares(slopes: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floats]:
@@ -571,8 +679,8 @@ def _form(off: Floats, block: Ints, kept: Bools, grid: _Grid) -> tuple[Floats, F
     mean = total / np.maximum(weight, 1.0)
     weighted = grid.basis * weight[:, None]
     square = weighted.T @ grid.basis
-    square[np.diag_indices_from(square)] += PRIOR
-    return np.asarray(np.linalg.solve(square, weighted.T @ mean)), square, weight, mean
+    ridge = square + PRIOR * np.eye(len(square))
+    return np.asarray(np.linalg.solve(ridge, weighted.T @ mean)), square, weight, mean
 
 
 def _solved(values: Floats, u: Floats, v: Floats, z: Floats, rounds: int) -> Floats:

@@ -79,8 +79,8 @@ def surface_of(measured: MeasuredMap, cells: ShownCells, lenslets: Lenslets, u_s
     across = 2.0 * float(bounds.min()) / (1.5 * max(measured.pixel))
     bins = int(np.clip(across, 8, BINS))
     formed = np.zeros((len(lenslets.index), bins, bins), dtype=bool)
-    order = np.argsort(number, kind="stable")
-    ends = np.searchsorted(number[order], np.arange(len(lenslets.index) + 1))
+    order = np.argsort(number.astype(np.min_scalar_type(-len(lenslets.index))), kind="stable")
+    ends = np.searchsorted(number, np.arange(len(lenslets.index) + 1), sorter=order)
     row, column = _grid_of(measured)
     sq = np.zeros((2, len(lenslets.index)))
     for k in range(len(lenslets.index)):
