@@ -28,7 +28,7 @@ from clacad.design.process import process_of
 from clacad.formats.maps.dose import Calibration, read_calibration
 from clacad.making.texture import level_step, step_rms
 from clacad.measuring.find_lattice import Found
-from clacad.measuring.fit_lenslets import Aperture, conic, fit_heights, pooled_form, shrunk
+from clacad.measuring.fit_lenslets import Aperture, conic, fit_heights, pooled_form
 from clacad.measuring.form_and_seams import Surface
 from clacad.measuring.light_through_form import law_rms_of_form
 from clacad.measuring.measure import Maps, fitted_sides
@@ -367,7 +367,7 @@ def _form(points: Points, side: Side) -> tuple[Floats, Floats]:
     """Coefficients (c,) of the form of deviations, without height and tilt, and their uncertainty."""
     u, v, off, pixel = points
     found, doubt = pooled_form(u, v, off, side.aperture, pixel)
-    found, doubt = shrunk(found, doubt), doubt.copy()
+    found, doubt = found * np.maximum(0.0, 1.0 - doubt**2 / np.maximum(found**2, 1e-300)), doubt.copy()
     found[:FIRST] = doubt[:FIRST] = 0.0
     return found, doubt
 

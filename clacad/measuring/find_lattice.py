@@ -8,7 +8,7 @@ from bowls.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, pi
 
 import numpy as np
@@ -27,6 +27,12 @@ FEWEST_BLOCKS = 8
 
 ENOUGH = 60_000
 """Blocks by which the phases of waves are found, at most."""
+
+DEEP = 4.0
+"""Distance of blocks from their plane over its upper quartile from which they are letters, holes or dirt."""
+
+LENS_RANGE = (0.6, 1.3)
+"""Range of heights of a square as large as a cell over the sag of the design's lenslet where it shows lenslets."""
 
 FEWEST_PIXELS = 12
 """Fewest pixels across a cell."""
@@ -104,6 +110,23 @@ class _Blocks:
         )
         return _Blocks(values, weight, x, y)
 
+    def of_lenslets(self, width: float, sag: float) -> _Blocks:
+        """The blocks about which a square of this width ranges over about a lenslet's sag, less its mean.
+
+        Land, letters and the steps to them are left out; one period of lenslets has the mean 0.
+        """
+        from scipy.ndimage import maximum_filter, minimum_filter, uniform_filter
+
+        known = self.weight > 0.0
+        raw = np.where(known, self.values / np.where(known, self.weight, 1.0), 0.0)
+        size = max(3, round(width / float(self.x[1] - self.x[0])))
+        sums, count = (uniform_filter(one, size, mode="constant") for one in (raw, known.astype(np.float64)))
+        high = maximum_filter(np.where(known, raw, -np.inf), size)
+        low = minimum_filter(np.where(known, raw, np.inf), size)
+        known &= (high - low > LENS_RANGE[0] * sag) & (high - low < LENS_RANGE[1] * sag)
+        weight = self.weight * known
+        return replace(self, values=(raw - sums / np.maximum(count, 1e-9)) * weight, weight=weight)
+
     def harmonics(self, waves: Floats) -> NDArrayComplex:
         """First and second harmonic (n, 2) of waves (n, 2), by least squares over what was measured.
 
@@ -134,6 +157,27 @@ def find_lattice(
     _refuse_coarse(measured, design)
     blocks = _blocks(measured, min(design.pitch) / BLOCKS)
     waves = _waves(design)
+    try:
+        return _located(blocks, waves, measured, design, lenslet)
+    except NotMeasurable as error:
+        try:  # steps to land are stronger than lenslets
+            shape = lenslet(*design.tile().T)
+            level = blocks.of_lenslets(
+                min(design.pitch), float(lenslet(np.zeros(1), np.zeros(1))[0] - shape.min())
+            )
+            return _located(level, waves, measured, design, lenslet)
+        except NotMeasurable:
+            raise error from None
+
+
+def _located(
+    blocks: _Blocks,
+    waves: Floats,
+    measured: MeasuredMap,
+    design: Pattern,
+    lenslet: Callable[[Floats, Floats], Floats],
+) -> Found:
+    """The lattice of blocks; see `find_lattice`."""
     first = _searched(blocks, waves, design)
     found = np.array([_climbed(blocks, wave) for wave in first])  # rows: waves of the map
     basis = np.linalg.inv(found[:2])  # columns a1, a2 with waves · steps = identity
@@ -212,11 +256,14 @@ def _blocks(measured: MeasuredMap, size: float) -> _Blocks:
     mean, known = means((x - low[0]) / step[0], (y - low[1]) / step[1], z)
     shape = mean.shape
     gx, gy = (low[k] + (np.arange(shape[1 - k]) + 0.5) * step[k] for k in (0, 1))
-    ry, rx = np.nonzero(known)
-    design = np.column_stack([np.ones(len(rx)), gx[rx], gy[ry]])
-    plane = np.linalg.lstsq(design, mean[known], rcond=None)[0]
     values = np.zeros(shape)
-    values[known] = mean[known] - design @ plane
+    for _ in range(2):
+        ry, rx = np.nonzero(known)
+        design = np.column_stack([np.ones(len(rx)), gx[rx], gy[ry]])
+        off = mean[known] - design @ np.linalg.lstsq(design, mean[known], rcond=None)[0]
+        values[known] = off
+        known &= np.abs(values) <= DEEP * np.quantile(np.abs(off), 0.75)
+    values *= known
     window = np.outer(np.hanning(shape[0] + 2)[1:-1], np.hanning(shape[1] + 2)[1:-1])
     return _Blocks(values * window, window * known, gx, gy)
 

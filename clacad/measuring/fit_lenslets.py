@@ -44,6 +44,9 @@ PLACES = 6
 TILES = 10
 """Parts of an aperture along each side, at most, most of which must hold points."""
 
+UNLIKE = 0.1
+"""Median distance of points from a fitted conic, over twice the sag at a border, from which it is no lenslet."""
+
 BLOCKS = 48
 """Block means over an aperture along each side, at most: 10 µm of a pitch of .5 mm."""
 
@@ -200,6 +203,16 @@ class Lenslets:
         found = held.ravel() > HALF * np.median(held[held > 0.0])
         return np.column_stack([(_axes(self.lattice).T @ off).T, found])
 
+    def land(self, measured: MeasuredMap) -> Floats:
+        """Points (3, n) of a map in no cell that holds a lenslet, at most `LARGE`, in the axes of its cells from
+        the centre of cell (0, 0); heights above the plane of the apexes.
+        """
+        points = measured.points
+        points = _some(points, LARGE / points.shape[1])
+        bare = self.level @ points[:, self.placed(points)[0] < 0]
+        height = bare[2] - self.plane[0] - self.plane[1:] @ bare[:2]
+        return np.vstack([_axes(self.lattice).T @ (bare[:2] - self.lattice.origin[:, None]), height])
+
     def heights(self, number: int, u: Floats, v: Floats, values: Floats | None = None) -> Floats:
         """Form (n,) of one lenslet over places of its cell: the conic, and what the fit leaves of it."""
         fitted, _ = conic(self.values[number] if values is None else values, u, v, slopes=False)
@@ -332,7 +345,7 @@ def fit_lenslets(measured: MeasuredMap, design: Pattern, aperture: Aperture, tar
         cells, groups = _grouped(level @ (measured.points if last else few), found, aperture, grid)
         wanted = targets(np.array(cells, dtype=np.int64).reshape(-1, 2))
         first = [_fitted(group, one) for group, one in zip(groups, wanted, strict=True)]
-        kept = [k for k, one in enumerate(first) if _is_lens(one, wanted[k], aperture)]
+        kept = [k for k, one in enumerate(first) if _is_lens(one, wanted[k], aperture, groups[k])]
         if not kept:
             raise NotMeasurable(
                 f"{measured.name}: no whole lenslet: a cell is whole where its measured aperture"
@@ -409,10 +422,16 @@ HALF = 0.5
 """Share of the usual number of points below which a cell holds no lenslet."""
 
 
-def _is_lens(values: Floats, wanted: Floats, aperture: Aperture) -> bool:
-    """Whether fitted numbers are those of a lenslet of the design: its curvature, and its middle."""
-    off = np.abs(values[:2] - wanted[:2]) / aperture.half
-    return bool(LENS[0] <= values[3] / wanted[3] <= LENS[1] and off.max() <= 0.5)
+def _is_lens(values: Floats, wanted: Floats, aperture: Aperture, table: Floats) -> bool:
+    """Whether fitted numbers are those of a lenslet of the design: its curvature, and its middle; and whether
+    points (3, n) follow them, as those of letters do not.
+    """
+    if not LENS[0] <= values[3] / wanted[3] <= LENS[1]:
+        return False
+    u, v, z = table[:, :: max(1, table.shape[1] // THIN)]
+    off = float(np.median(np.abs(z - conic(values, u, v, slopes=False)[0])))
+    aside = np.abs(values[:2] - wanted[:2]) / aperture.half
+    return bool(aside.max() <= 0.5 and off <= UNLIKE * abs(wanted[3]) * float(aperture.half.max()) ** 2)
 
 
 def plane_of(points: Floats) -> Floats:

@@ -26,7 +26,15 @@ from clacad.measuring.light_through_form import light_through_form, texture_shar
 from clacad.measuring.measured import Measured
 from clacad.measuring.read_map import STEEP, MeasuredMap, cloud_map, read_map
 from clacad.measuring.scales import HEIGHTS, LATERAL, Scale, Stated, scale_by_tilt, scale_of
-from clacad.measuring.sides import Name, ShownCells, Side, cells_in_map, first_cells, placed_cells, sides_of
+from clacad.measuring.sides import (
+    Name,
+    ShownCells,
+    Side,
+    cells_in_map,
+    first_cells,
+    placed_cells,
+    sides_of,
+)
 from clacad.prescription.prescribe import prescribe
 from clacad.storage.errors import BadRequest
 
@@ -114,7 +122,10 @@ SURE = 2e-5
 """Relative difference of the pitches by which a lateral scale that is not stated is borne out at best."""
 
 LIKE = (0.5, 2.0)
-"""Range of heights of a map over that of the design's lenslets."""
+"""Range of heights of a square as large as a cell over that of the design's lenslets."""
+
+SHOWN, SOME = 0.2, 200_000
+"""Least share of such squares whose heights are those of lenslets, not of land or letters; points looked at."""
 
 STEEPEST = 0.25
 """Largest tilt (radians) of a map."""
@@ -308,9 +319,9 @@ def _fitted(
         lenslets = fit_lenslets(one, side.lattice, side.aperture, cells.numbers)
         before = cells
         if stated is None:
-            seen = partial(lenslets.seen, one)
+            seen, land = partial(lenslets.seen, one), partial(lenslets.land, one)
             placed = placed_cells(side, one.middle, lenslets.lattice.origin)
-            cells = placed or cells_in_map(side, lenslets.index, lenslets.empty, seen)
+            cells = placed or cells_in_map(side, lenslets.index, lenslets.empty, seen, land)
         if side.alike or cells.first == before.first:
             break
     _, a, b = lenslets.pose
@@ -325,11 +336,16 @@ def _refuse_heights(measured: MeasuredMap, side: Side) -> None:
     """Refuse a map whose heights about their plane are of another order than those of the design's
     lenslets.
     """
-    x, y, z = measured.points
+    x, y, z = measured.points[:, :: max(1, measured.points.shape[1] // SOME)]
     slopes = plane_of(measured.points)
-    low, high = np.percentile(z - slopes[0] * x - slopes[1] * y, (0.5, 99.5))
-    ratio = float(high - low) / side.sag
-    if not LIKE[0] <= ratio <= LIKE[1]:
+    column, row = (np.floor((at - at.min()) / min(side.lattice.pitch)).astype(np.int64) for at in (x, y))
+    square = row * (int(column.max()) + 1) + column
+    order = np.argsort(square)
+    first = np.flatnonzero(np.diff(square[order], prepend=-1))
+    own = (z - slopes[0] * x - slopes[1] * y)[order]
+    ratios = (np.maximum.reduceat(own, first) - np.minimum.reduceat(own, first)) / side.sag
+    ratio = float(np.median(ratios))
+    if np.mean((ratios >= LIKE[0]) & (ratios <= LIKE[1])) < SHOWN:
         factor = next((f for f in (1000.0, 0.001) if LIKE[0] <= ratio / f <= LIKE[1]), None)
         hint = f": a unit of heights 1000 times too {'small' if ratio < 1.0 else 'large'}" if factor else ""
         raise NotMeasurable(

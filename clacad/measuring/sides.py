@@ -15,12 +15,15 @@ from typing import Literal
 
 import numpy as np
 
+from clacad.base.polygons import polygon_area
 from clacad.base.types import Bools, Floats, Ints
 from clacad.measuring.fit_lenslets import Aperture, aperture_of, fit_heights
 from clacad.sheet.lattice import Lattice, inside_outline
 from clacad.sheet.pattern import Pattern
 from clacad.sheet.representative_cells import central_cell
+from clacad.sheet.volume_and_extent import NoFixture
 from clacad.sheet.window import Body, Face, Window, lens_height
+from clacad.solid.marks import MarkPlace, mark_place
 from clacad.storage.errors import BadRequest, NotPossible
 
 Name = Literal["front", "back"]
@@ -140,7 +143,7 @@ class ShownCells:
     side : Side
     first : (2,) ints. Cell of the sheet at step (0, 0) of the map's lattice.
     known : (for i, for j). "stated", "placed" with the mesh of a part, "edge" of the array in the map,
-        "mark": a hole or side of the plate in it, or "assumed": the middle of the sheet.
+        "mark": a hole or side of the plate or engraved letters in it, or "assumed": the middle of the sheet.
     """
 
     side: Side
@@ -173,11 +176,14 @@ def first_cells(side: Side, stated: tuple[int, int] | None) -> ShownCells:
     return ShownCells(side, stated, ("stated", "stated"))
 
 
-def cells_in_map(side: Side, index: Ints, empty: Ints, seen: Callable[[], Floats]) -> ShownCells:
-    """Find which cells of the sheet a map shows, by the edge of the array where it is in the map.
+def cells_in_map(
+    side: Side, index: Ints, empty: Ints, seen: Callable[[], Floats], land: Callable[[], Floats]
+) -> ShownCells:
+    """Find which cells of the sheet a map shows, by edges of the array, the plate's outline and engraved marks.
 
     index, empty : (m, 2), (k, 2) Steps of the map's lattice with a lenslet, and with none.
     seen : Gives places of the map and whether they hold points, as `Lenslets.seen`.
+    land : Gives points next to the lenslets, as `Lenslets.land`.
     """
     lattice, middle = side.window.lattice, np.array(central_cell(side.window))
     held = side.cell(index)
@@ -193,6 +199,8 @@ def cells_in_map(side: Side, index: Ints, empty: Ints, seen: Callable[[], Floats
         fits = _by_outline(side, np.concatenate([inner, fitting[rim]]), seen())
         if fits.any() and not fits[: len(inner)].any():
             marked = fitting[rim][fits[len(inner) :]]
+    if len(marked) > 1:
+        marked = marked[_by_letters(side, marked, land)]
     edge, mark = (np.ptp(some, axis=0) == 0 for some in (fitting, marked))
     known = ["edge" if edge[k] else "mark" if mark[k] else "assumed" for k in (0, 1)]
     return ShownCells(side, (int(marked[0, 0]), int(marked[0, 1])), (known[0], known[1]))
@@ -222,6 +230,76 @@ def _by_outline(side: Side, cells: Ints, seen: Floats) -> Bools:
     )
     unknown = float(np.sum(seen[:, 2] == 0.0))
     return np.asarray((off <= off.min() + CLOSE) & (off <= CLOSE + DAMAGED * unknown))
+
+
+def _by_letters(side: Side, cells: Ints, land: Callable[[], Floats]) -> Bools:
+    """Which cells (n, 2) at the middle of a map fit best the letters that are engraved in its land; all of them
+    where it shows none.
+    """
+    every, window = np.ones(len(cells), dtype=bool), side.window
+    try:
+        place = mark_place(window, side.body)
+    except NoFixture:
+        return every
+    x, y, height = land()
+    depth = place.depth * side.millimetre
+    below = side.face.vertex[2] - place.centre[2] * side.millimetre - height  # of the land
+    floor = np.abs(below - depth) < 0.5 * depth
+    bare = floor | (np.abs(below) < 0.5 * depth)
+    if side.face.side < 0 or floor.sum() < FEWEST_SUNK:
+        return every
+    letters = _Letters.drawn(window, side.body, place)
+    points = np.stack([x, y], axis=1)[bare] * side.signs
+    off = [
+        np.sum(letters.holds((points + centre) / side.millimetre) != floor[bare])
+        for centre in window.centres(side.array, cells)
+    ]
+    best = np.asarray(np.array(off) == min(off))
+    return best if best.sum() == 1 and min(off) < LEGIBLE * floor.sum() else every
+
+
+FEWEST_SUNK, LEGIBLE = 30, 0.5
+"""Fewest points of a map on the floor of letters by which its cells are known; largest share of them, and of
+points of the land in their place, that may be elsewhere.
+"""
+
+DOTS = 64
+"""Dots over the height of a line of letters."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Letters:
+    """Picture of a line of engraved letters.
+
+    low : (2,) mm. Its corner in the sheet; dot : mm; dots : (columns, rows) Whether there is a letter.
+    """
+
+    low: Floats
+    dot: float
+    dots: Bools
+
+    @staticmethod
+    def drawn(window: Window, body: Body, place: MarkPlace) -> _Letters:
+        """The letters of a body as its marked file has them."""
+        from PIL import Image, ImageDraw
+
+        from clacad.exporting.fixtures.engraving import engravings
+
+        dot = place.height / DOTS
+        low = np.array(place.centre[:2]) - 0.5 * np.array([place.width, place.height]) - dot
+        picture = Image.new("1", (int(place.width / dot) + 3, DOTS + 3))
+        loops = engravings(window, window.name)[body.name].loops
+        for loop in sorted(loops, key=polygon_area, reverse=True):  # the inside of an "o" after its outside
+            ink = int(polygon_area(loop) > 0.0)
+            ImageDraw.Draw(picture).polygon([*map(tuple, (loop - low) / dot - 0.5)], fill=ink)
+        return _Letters(low, dot, np.array(picture).T)
+
+    def holds(self, points: Floats) -> Bools:
+        """Which points (n, 2), mm, lie in a letter."""
+        at = np.floor((points - self.low) / self.dot).astype(np.int64)
+        inside: Bools = np.asarray(((at >= 0) & (at < self.dots.shape)).all(axis=1))
+        i, j = np.where(inside[:, None], at, 0).T
+        return np.asarray(inside & self.dots[i, j])
 
 
 CLOSE = 5

@@ -288,8 +288,10 @@ def test_samples_are_measured_to_the_bars(name, side):
     assert abs(off) < (5e-4 if coarse else 4e-4 if tilted else 2.5e-4)
     off = np.mean([row["conic"] - cell["conic"] for row, cell in both])
     assert abs(off) < (0.1 if coarse or tilted else 0.03)
-    within = [abs(row["radius"] - cell["radius_mm"]) < 2.0 * row["u_radius"] for row, cell in both]
-    assert np.mean(within) >= 0.93
+    for key, name in (("radius", "radius_mm"), ("conic", "conic")):
+        pulls = [(row[key] - cell[name]) / row[f"u_{key}"] for row, cell in both]
+        assert np.sum(np.abs(pulls) > 2.0) <= 1  # of nine: 93 % of them all
+        assert np.sqrt(np.mean(np.square(pulls))) > 0.2
     index = np.array([[1.0, row["i"], row["j"]] for row, _ in both])
     own = np.array([[row["x"], row["y"]] for row, _ in both])
     true = 1e-3 * np.array([[cell["x_um"], cell["y_um"]] for _, cell in both])

@@ -10,8 +10,10 @@ from measuring.made_parts import Made
 from measuring.test_measure import mapped
 
 from clacad.design import Design, load
+from clacad.exporting.fixtures.engraving import engravings
 from clacad.light.measure import measure as measure_light
 from clacad.measuring.measure import Maps, fitted_sides, measure
+from clacad.measuring.read_map import MeasuredMap
 from clacad.prescription.prescribe import prescribe
 from clacad.sheet.bundle import RequestedLaw, bundle
 from clacad.sheet.like_cell import like_cell
@@ -171,6 +173,49 @@ ON_PLATES = {
 def test_corners_holes_and_sides_of_the_plate_tell_the_cells(side, name):
     design, first, what, expected = ON_PLATES[name]
     assert shown(design, side, first, **what) == expected
+
+
+def engraved(points: np.ndarray, loops) -> np.ndarray:
+    """Which points (n, 2) lie in letters, by the parity of borders to their right."""
+    inside = np.zeros(len(points), dtype=bool)
+    for loop in loops:
+        for (ax, ay), (bx, by) in zip(loop, np.roll(loop, -1, axis=0), strict=True):
+            if ay != by:
+                level = (points[:, 1] >= min(ay, by)) & (points[:, 1] < max(ay, by))
+                inside ^= level & (points[:, 0] < ax + (points[:, 1] - ay) * (bx - ax) / (by - ay))
+    return inside
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", [(13, 1), (22, 1)])
+def test_engraved_letters_tell_the_cells(first):
+    """A map over the lower border: its row is known by the edge, its column by the letters alone."""
+    design = load("window-100mm", ["lattice.count=[41,9]", "body.border=1.2"])
+    window = prescribe(design)
+    [marks] = engravings(window, window.name).values()
+    made = like(design, "front", first, size=460, pixel=0.008, noise=5e-6, spikes=0, dirt=2)
+    made.__class__ = Plate
+    vars(made).update(first=first, count=window.lattice.count, land=1.2)
+    z = made.heights()
+    at = (np.arange(made.size) - made.size / 2.0) * made.pixel
+    x, y = np.meshgrid(at, -at)
+    sheet = np.stack([x.ravel(), y.ravel()], axis=1) + 0.5 * (np.array(first) - [20.0, 4.0])
+    top = window.faces[0].vertex[2] - window.bodies[0].front.land
+    flat = (np.abs(sheet) > [10.25, 2.25]).any(axis=1).reshape(z.shape) & np.isfinite(z)
+    z[flat] += 0.01 + top
+    plain = z.copy()
+    line = np.concatenate(marks.loops)
+    near = flat & ((sheet >= line.min(axis=0)) & (sheet <= line.max(axis=0))).all(axis=1).reshape(z.shape)
+    z[near] -= marks.depth * engraved(sheet[near.ravel()], marks.loops)
+    for heights, known in ((z, ("mark", "edge")), (plain, ("assumed", "edge"))):
+        row, column = np.nonzero(np.isfinite(heights))
+        places = np.stack([column, row]) - made.size / 2.0
+        points = np.vstack([1e-3 * made.pixel * places, 1e-3 * heights[row, column]])
+        map_ = MeasuredMap("map", points, (8e-6, 8e-6), heights.shape)
+        found, _, _ = fitted_sides(design, window, Maps(front=map_, z_scale=1.0))
+        assert found["front"].lit.cells.known == known
+        if known[0] == "mark":
+            assert found["front"].lit.cells.first == first
 
 
 EDGES = load("window-100mm", ["lattice.count=[7,7]"])
