@@ -32,7 +32,7 @@ DEEP = 4.0
 """Distance of blocks from their plane over its upper quartile from which they are letters, holes or dirt."""
 
 LENS_RANGE = (0.6, 1.3)
-"""Range of heights of a square as large as a cell over the sag of the design's lenslet where it shows lenslets."""
+"""Range of heights of a square as large as a cell over the sag of a lenslet, where it shows lenslets."""
 
 FEWEST_PIXELS = 12
 """Fewest pixels across a cell."""

@@ -45,7 +45,7 @@ TILES = 10
 """Parts of an aperture along each side, at most, most of which must hold points."""
 
 UNLIKE = 0.1
-"""Median distance of points from a fitted conic, over twice the sag at a border, from which it is no lenslet."""
+"""Median distance of points from a fitted conic, over twice its sag, from which it is no lenslet."""
 
 BLOCKS = 48
 """Block means over an aperture along each side, at most: 10 µm of a pitch of .5 mm."""
@@ -57,11 +57,8 @@ GUARD = 1.2
 """Factor by which standard deviations are stated larger than the noise of a lenslet gives them: they are
 known to some per cent only, and twice them must hold 95 % of few lenslets, too."""
 
-CLEARLY = 3.0
-"""Covariance of blocks over its standard deviation from which it is no chance."""
-
 STEPS = 8
-"""Steps by which the variance of form is found; more of them change no number by a tenth of its uncertainty."""
+"""Steps by which the variance of form is found; more change numbers by less than .1 of their uncertainty."""
 
 THIN = 2500
 """Points of a lenslet of the first fit."""
@@ -204,8 +201,8 @@ class Lenslets:
         return np.column_stack([(_axes(self.lattice).T @ off).T, found])
 
     def land(self, measured: MeasuredMap) -> Floats:
-        """Points (3, n) of a map in no cell that holds a lenslet, at most `LARGE`, in the axes of its cells from
-        the centre of cell (0, 0); heights above the plane of the apexes.
+        """Points (3, n) of a map that lie in no cell with a lenslet, or some of them, from the centre of cell
+        (0, 0) in its axes; heights above the plane of the apexes.
         """
         points = measured.points
         points = _some(points, LARGE / points.shape[1])
@@ -397,7 +394,7 @@ def _empty(
 ) -> Ints:
     """Cells (k, 2) whose apertures lie in a map, and which hold few points, or no lenslet but points enough.
 
-    points : (3, n) of the map; seen : Cells with points enough for a fit; index : (m, 2) those of them that are lenslets.
+    points : (3, n) of the map; seen : Cells with points enough for a fit; index : (m, 2) the lenslets.
     """
     size = 0.5 * np.array(measured.shape[::-1]) * measured.pixel
     reach = int(np.hypot(*size) / np.hypot(*found.basis).min()) + 1
@@ -576,8 +573,6 @@ def _refined(every: Sequence[_Sums], grid: _Grid) -> list[_Fit]:
     Form beyond the conic has, in each degree, the variance that the lenslets of the map show, and the mean 0.
     It decides where no points are: the numbers are those of the form over the whole aperture.
     """
-    longer = _long_waves(every, grid)
-    every = [replace(one, spread=longer * one.spread) for one in every]
     weak = _weakness(every, grid.basis.shape[1])
     fits = []
     for one in every:
@@ -597,35 +592,8 @@ def _refined(every: Sequence[_Sums], grid: _Grid) -> list[_Fit]:
     return fits
 
 
-def _long_waves(every: Sequence[_Sums], grid: _Grid) -> float:
-    """Factor by which noise of waves as long as the conic has more power than that of shorter ones.
-
-    It is the sum of the covariances of blocks, ring by ring of distances, as long as they are clearly there:
-    roughness that is alike over several blocks is no white noise.
-    """
-    held = np.zeros((2, len(every), grid.side * grid.side))
-    for k, one in enumerate(every):
-        known = one.weight > 0.0
-        held[:, k, grid.inside] = known, known * (one.mean - grid.basis @ one.form)
-    size = (2 * grid.side, 2 * grid.side)
-    waves = np.fft.rfft2(held.reshape(2, -1, grid.side, grid.side), size)
-    pairs, product = np.fft.irfft2((np.abs(waves) ** 2).sum(axis=1), size)
-    pairs = np.maximum(pairs, 1e-9)
-    distance = np.minimum(np.arange(size[0]), size[0] - np.arange(size[0]))
-    ring = np.maximum(distance[:, None], distance)
-    total = alone = float(product[0, 0] / pairs[0, 0])
-    for k in range(1, grid.side // 4 + 1):
-        own = ring == k
-        mean = float(product[own].sum() / pairs[own].sum())
-        if mean < CLEARLY * alone * np.sqrt(2.0 / pairs[own].sum()):
-            break
-        total += float(np.sum(product[own] / pairs[own]))
-    points = np.mean([one.weight.sum() / max(1, np.count_nonzero(one.weight)) for one in every])
-    return max(1.0, total * float(points) / float(np.mean([one.spread for one in every])))
-
-
 def _weakness(every: Sequence[_Sums], count: int) -> Floats:
-    """Weight (c,), in points, of the expectation that a coefficient is 0: variance of noise over that of form.
+    """Weight (c,), in points, of the expectation that a coefficient is 0: noise over form (variances).
 
     Most likely variance of the coefficients of each degree, found by steps of expectation and maximization;
     degrees that the conic follows are free.

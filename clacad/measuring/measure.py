@@ -125,7 +125,7 @@ LIKE = (0.5, 2.0)
 """Range of heights of a square as large as a cell over that of the design's lenslets."""
 
 SHOWN, SOME = 0.2, 200_000
-"""Least share of such squares whose heights are those of lenslets, not of land or letters; points looked at."""
+"""Least share of such squares with heights of lenslets, not of land or letters; points looked at."""
 
 STEEPEST = 0.25
 """Largest tilt (radians) of a map."""
@@ -227,7 +227,7 @@ def _measured(design: Design, window: Window, maps: Maps, progress: Progress | N
 
 
 def one_thread() -> AbstractContextManager[object]:
-    """Keep linear algebra on one processor where threadpoolctl is installed: matrices of a lenslet are small."""
+    """Keep linear algebra on one processor, by threadpoolctl if installed: matrices of lenslets are small."""
     if find_spec("threadpoolctl") is None:
         return nullcontext()
     limits: AbstractContextManager[object] = import_module("threadpoolctl").threadpool_limits(1, "blas")

@@ -179,7 +179,7 @@ def first_cells(side: Side, stated: tuple[int, int] | None) -> ShownCells:
 def cells_in_map(
     side: Side, index: Ints, empty: Ints, seen: Callable[[], Floats], land: Callable[[], Floats]
 ) -> ShownCells:
-    """Find which cells of the sheet a map shows, by edges of the array, the plate's outline and engraved marks.
+    """Find which cells of a sheet a map shows, by edges of the array, the outline and engraved marks.
 
     index, empty : (m, 2), (k, 2) Steps of the map's lattice with a lenslet, and with none.
     seen : Gives places of the map and whether they hold points, as `Lenslets.seen`.
@@ -233,7 +233,7 @@ def _by_outline(side: Side, cells: Ints, seen: Floats) -> Bools:
 
 
 def _by_letters(side: Side, cells: Ints, land: Callable[[], Floats]) -> Bools:
-    """Which cells (n, 2) at the middle of a map fit best the letters that are engraved in its land; all of them
+    """Which cells (n, 2) at the middle of a map fit best the letters that are engraved in its land; all
     where it shows none.
     """
     every, window = np.ones(len(cells), dtype=bool), side.window
