@@ -154,8 +154,10 @@ class Lenslets:
         """Angles T, a, b (radians): the map is Rz(T) Rx(a) Ry(b) of the part, whose x runs along the step
         i.
         """
-        along = self.level.T @ np.append(_axes(self.lattice)[:, 0], 0.0)
-        normal = self.level[2]
+        step = _axes(self.lattice)[:, 0]
+        turn, _ = _levelled(np.empty((3, 0)), self.plane[1:])
+        along = self.level.T @ np.append(step, self.plane[1:] @ step)
+        along, normal = along / np.linalg.norm(along), (turn @ self.level)[2]
         across = np.cross(normal, along)
         return (
             float(np.arctan2(-across[0], across[1])),
