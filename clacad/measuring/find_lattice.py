@@ -34,6 +34,9 @@ DEEP = 4.0
 LENS_RANGE = (0.6, 1.3)
 """Range of heights of a square as large as a cell over the sag of a lenslet, where it shows lenslets."""
 
+UNSURE = 0.01
+"""Distance (radians) of a turn from the one that may be its opposite, from which it is known."""
+
 FEWEST_PIXELS = 12
 """Fewest pixels across a cell."""
 
@@ -182,6 +185,7 @@ def _located(
     found = np.array([_climbed(blocks, wave) for wave in first])  # rows: waves of the map
     basis = np.linalg.inv(found[:2])  # columns a1, a2 with waves · steps = identity
     _refuse_period(measured, basis, design)
+    _refuse_turn(measured, basis, design)
     shown = blocks.harmonics(found)[:2] / _harmonics(design, waves, lenslet)
     phase = shown[:, 0] / np.abs(shown[:, 0])
     if not (shown[:, 1] * np.conj(phase) ** 2).real.sum() > 0.0:
@@ -285,7 +289,7 @@ def _searched(blocks: _Blocks, waves: Floats, design: Pattern) -> Floats:
     bins = [1.0 / (counts[1] * step[0]), 1.0 / (counts[0] * step[1])]
     longest = float(np.hypot(*waves.T).max())
     fine = 0.2 / (max(size) * longest)
-    half = pi / {2: 2.0 if design.pitch[0] != design.pitch[1] else 4.0, 3: 6.0}[len(waves)]
+    half = _symmetry(design)
     turns = np.arange(-half, half, fine)
     scales = np.exp(np.arange(-SEARCHED, SEARCHED, fine))
     best, place = -1.0, (0.0, 1.0)
@@ -330,6 +334,22 @@ def _climbed(blocks: _Blocks, wave: Floats) -> Floats:
             at[axis] += step[axis] * float(np.clip(move, -1.0, 1.0))
         step *= 0.6
     return at
+
+
+def _refuse_turn(measured: MeasuredMap, basis: Floats, design: Pattern) -> None:
+    """Refuse a lattice that is turned one way as far as the other way: which step is which is not known."""
+    most = _symmetry(design)
+    turn = float(np.arctan2(basis[1, 0], basis[0, 0]) - np.arctan2(design.a1[1], design.a1[0]))
+    if abs(abs(np.angle(np.exp(1j * turn))) - most) < UNSURE:
+        raise NotMeasurable(
+            f"{measured.name}: it is turned by {np.degrees(most):.3g} deg within {np.degrees(UNSURE):.2g}: which way"
+            " is not known by its lattice alone; turn the part and measure it again"
+        )
+
+
+def _symmetry(design: Pattern) -> float:
+    """Half of the turn (radians) by which the design's lattice lies on itself."""
+    return pi / (6.0 if design.hexagonal else 2.0 if design.pitch[0] != design.pitch[1] else 4.0)
 
 
 def _refuse_period(measured: MeasuredMap, basis: Floats, design: Pattern) -> None:

@@ -154,6 +154,7 @@ REFUSED = {
     "tiny": (Made(size=50), "no whole lenslet"),
     "high": (Made(z_scale=1000.0, noise=0.0, spikes=0, dirt=0), "1000 times too large"),
     "flat": (Made(z_scale=0.001, noise=0.0, spikes=0, dirt=0), "1000 times too small"),
+    "turned": (Made(turn=np.pi / 4 + 0.003), "turned by 45 deg"),
     "plane": (Made(z_scale=1e-9, noise=20e-6), "range over"),
 }
 
