@@ -342,8 +342,8 @@ def _refuse_turn(measured: MeasuredMap, basis: Floats, design: Pattern) -> None:
     turn = float(np.arctan2(basis[1, 0], basis[0, 0]) - np.arctan2(design.a1[1], design.a1[0]))
     if abs(abs(np.angle(np.exp(1j * turn))) - most) < UNSURE:
         raise NotMeasurable(
-            f"{measured.name}: it is turned by {np.degrees(most):.3g} deg within {np.degrees(UNSURE):.2g}, and its"
-            " lattice does not show which way: turn the part and measure it again"
+            f"{measured.name}: it is turned by {np.degrees(most):.3g} deg within {np.degrees(UNSURE):.2g};"
+            " its lattice does not show which way: turn the part and measure it again"
         )
 
 
