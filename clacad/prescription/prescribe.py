@@ -165,21 +165,19 @@ def _with_stated_numbers(window: Window, design: Design) -> Window:
     from clacad.optics.material.catalogue import find
 
     stated = {find(one.material).name: one for one in design.light.thermal}
-    bodies = []
-    for body in window.bodies:
-        own = None if body.material is None else stated.get(body.material.name)
-        if body.material is not None and own is not None:
-            body = replace(body, material=_stated(body.material, own))
-        bodies.append(body)
+    bodies = (replace(body, material=_stated(body.material, stated)) for body in window.bodies)
     return replace(window, bodies=tuple(bodies))
 
 
-def _stated(material: Material, own: ThermalSpec) -> Material:
-    """The material with stated thermal numbers; those left out are the table's."""
+def _stated(material: Material | None, stated: dict[str, ThermalSpec]) -> Material | None:
+    """The material with its stated thermal numbers; those left out are the table's."""
     from clacad.optics.material.material import D_LINE, EXPANSION, ThermalNumbers
 
+    if material is None or material.name not in stated:
+        return material
+    own = stated[material.name]
     known, dn_dt, expansion = material.thermal, own.dn_dt, own.expansion
-    index_by = own.source if dn_dt is not None else known.source.split("; ")[0] or material.source
+    index_by = own.source if dn_dt is not None else known.source.split(f"; {EXPANSION}")[0] or material.source
     growth_by = own.source if expansion is not None else known.source.split(EXPANSION)[-1] or material.source
     changed = ThermalNumbers(
         known.dn_dt if dn_dt is None else (dn_dt, D_LINE),

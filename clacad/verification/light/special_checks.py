@@ -374,7 +374,7 @@ def _temperature(lit: Lit, cell: SeenCell, base: Light) -> Check:
         f"{kelvin:g} K change the direction by {mrad_text(worst['change'])} rms (closed form"
         f" {mrad_text(worst['closed_form'])}); light then leaves {each} mrad rms from the law"
     )
-    sources, grown = thermal_sources_of(lit.like), growth_sources_of(lit.like)
+    sources, grown = (thermal_sources_of(lit.like, of_expansion) for of_expansion in (False, True))
     sentence += f"; dn/dT by {'; '.join(dict.fromkeys(sources.values()))}; {_growth(grown)}"
     return _judged(TEMPERATURE, worst["change"], limit, sentence, base, {"rows": rows, "sources": sources})
 
@@ -408,16 +408,10 @@ def sources_of(window: Window) -> dict[str, str]:
     return {one.name: _short(one.source) for one in _materials(window)}
 
 
-def thermal_sources_of(window: Window) -> dict[str, str]:
-    """Material → source of its dn/dT."""
-    own = {one.name: one.thermal.source.split(";")[0] for one in _materials(window)}
-    return {name: own[name] or source for name, source in sources_of(window).items()}
-
-
-def growth_sources_of(window: Window) -> dict[str, str]:
-    """Material → source of its expansion."""
-    own = {one.name: one.thermal.source.split(EXPANSION)[-1].split(";")[0] for one in _materials(window)}
-    return {name: own[name] or source for name, source in sources_of(window).items()}
+def thermal_sources_of(window: Window, of_expansion: bool = False) -> dict[str, str]:
+    """Material → source of its dn/dT, or of its expansion."""
+    parts = {one.name: one.thermal.source.split(f"; {EXPANSION}") for one in _materials(window)}
+    return {name: parts[name][-of_expansion] or source for name, source in sources_of(window).items()}
 
 
 def _materials(window: Window) -> list[Material]:
