@@ -79,9 +79,9 @@ class Telescopelet:
         """Trace rays given about the cell's centre; ALIVE are those that stay in this telescopelet, else
         WALL.
 
-        Directions are NaN where a ray ended on the way. A ray counts if it hits every lens face in the
-        optical zone of this cell, where the lens is not buried in land and has no opaque line, and leaves
-        forwards.
+        Of the result, fates and directions alone are computed; directions are NaN where a ray ended on the
+        way. A ray counts if it hits every lens face in the optical zone of this cell, where the lens is not
+        buried in land and has no opaque line, and leaves forwards.
         """
         ledger = Ledger.blank(len(rays), 0)
         ledger.direction[:], good = self.through(
