@@ -104,8 +104,8 @@ def grown_window(window: Window, size: Three, apart: float | None = None) -> Win
         raise CannotShrink(
             f"{window.name}: {what} take one shrinkage along x and y, not {kx:g} and {ky:g} of growth"
         )
-    if not kx == ky == kz and not all(face.untilted for face in window.faces):
-        raise CannotShrink(f"{window.name}: tilted lenses take one shrinkage along x, y and z")
+    if not kx == ky == kz and not all(face.untilted and not face.own_axes for face in window.faces):
+        raise CannotShrink(f"{window.name}: tilted and turned lenses take one shrinkage along x, y and z")
     widths = {name: kx * getattr(window.land, name) for name in ("seam", "border", "line")}
     land = replace(window.land, **widths)
     bodies = tuple(
@@ -201,7 +201,7 @@ def bent_window(window: Window, depth: float) -> Window:
     if not depth:
         return window
     lenses = [face for face in window.faces if face.array is not None]
-    if not all(face.untilted and isinstance(face.surface, Quadric) for face in lenses):
+    if not all(face.untilted and not face.own_axes and isinstance(face.surface, Quadric) for face in lenses):
         raise CannotShrink(f"{window.name}: sink is compensated for upright lenses that are quadrics")
     bodies = tuple(
         replace(body, front=_bent(window, body.front, depth), back=_bent(window, body.back, depth))
@@ -320,18 +320,3 @@ def _refuse_turned(window: Window) -> None:
             f"insert: {window.lattice.count[1]} rows of hexagonal cells do not lie on themselves when turned"
             " about x; use an odd number of rows (lattice.count, or --cells)"
         )
-
-
-def made_points(points: Floats, shrinkage: Sequence[float], front: bool) -> Floats:
-    """Points (..., 3) of the part that an insert's points mould: apex plane at z = 0, axes of the sheet.
-
-    front : Whether the insert is of a front face.
-    """
-    made = np.asarray(points, dtype=np.float64) * (1.0 - np.asarray(shrinkage, dtype=np.float64))
-    return made if front else made * np.array([1.0, -1.0, -1.0])
-
-
-def cavity_point(point: Any, shrinkage: Sequence[float]) -> tuple[Floats, Floats]:
-    """Point (3,) of the cavity for one of the part, seen from outside, and of the insert's file."""
-    cavity = np.asarray(point, dtype=np.float64) / (1.0 - np.asarray(shrinkage, dtype=np.float64))
-    return cavity, cavity @ TURN

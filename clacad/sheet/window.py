@@ -101,6 +101,11 @@ class Face:
         return bool(np.array_equal(self.rotation, IDENTITY))
 
     @property
+    def own_axes(self) -> bool:
+        """Whether each cell's lens has axes of its own."""
+        return self.change is not None and self.change.rotation is not None
+
+    @property
     def simplified(self) -> Face:
         """The same points with a surface whose rays need no iteration, where there is one (`simplest`)."""
         if self.change is not None and self.change.aspect is not None:

@@ -13,13 +13,25 @@ import clacad
 from clacad.formats.maps.dose import BYTE, WORD, Calibration, Coupon
 from clacad.formats.maps.tool_path import ToolFace, tool_face
 from clacad.optics.surface import Quadric, conic_constants
-from clacad.sheet.shrunk import CannotShrink, cavity_point, growth, insert_window, made_points
+from clacad.sheet.shrunk import TURN, CannotShrink, growth, insert_window
 from clacad.sheet.window import face_height
 from clacad.storage.errors import BadRequest, NotPossible
 
 DATA = Path(__file__).parents[1] / "data" / "workshop"
 ROOM = 1e-12
 """Millimetres."""
+
+
+def made_points(points, shrinkage, front):
+    """Points (..., 3) of the part that an insert's points mould: apex plane at z = 0, axes of the sheet."""
+    made = np.asarray(points) * (1.0 - np.asarray(shrinkage))
+    return made if front else made * [1.0, -1.0, -1.0]
+
+
+def cavity_point(point, shrinkage):
+    """Point (3,) of the cavity for one of the part, seen from outside, and of the insert's file."""
+    cavity = np.asarray(point) / (1.0 - np.asarray(shrinkage))
+    return cavity, cavity @ TURN
 
 
 def golden(name: str) -> dict:

@@ -20,6 +20,7 @@ from clacad.sheet.cell_heights import highest_step
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.like_cell import like_cell
 from clacad.sheet.representative_cells import representative_cells
+from clacad.sheet.shrunk import CannotShrink, bent_window, grown_window
 from clacad.sheet.vignetting import aperture_slopes, partner_share
 from clacad.sheet.volume_and_extent import body_volume
 from clacad.sheet.window import face_height, lens_height, lens_height_and_normal
@@ -438,6 +439,15 @@ def test_turned_cells_of_a_tilted_law_and_across_the_cylinders_of_a_field_lens_a
         (mistake,) = caught.value.mistakes
         assert mistake.code == code
         assert word in mistake.message
+
+
+def test_turned_lenses_that_a_shrinkage_would_deform_are_refused(tmp_path):
+    window = built(tmp_path, BOTH, still, turned, lattice__count=[2, 2])
+    assert grown_window(window, (1.01, 1.01, 1.01)).faces[0].own_axes
+    with pytest.raises(CannotShrink, match="turned lenses take one shrinkage"):
+        grown_window(window, (1.01, 1.01, 1.0))
+    with pytest.raises(CannotShrink, match="upright"):
+        bent_window(window, 1e-4)
 
 
 def test_two_numbers_of_a_cell_that_have_no_field_lens_or_no_form_are_refused(tmp_path):

@@ -85,7 +85,7 @@ def faces_table(window: Window, allowed: Allowances) -> Canvas:
             if face.change is not None:  # each its own: see the table of cells
                 place = f"by cell, by cell, {mm_text(face.vertex[2] * mm)}"
             turned = ", ".join(f"{v:.5g}" for v in euler_degrees(face.rotation))
-            if face.array is None or (face.change is not None and face.change.rotation is not None):
+            if face.array is None or face.own_axes:
                 turned = "-" if face.array is None else "by cell"
             flat = face.array is None
             rows.append([f"{body.name} {side}", *radii, *(["-", "-"] if flat else conics), place, turned])

@@ -180,7 +180,7 @@ def cells_table(window: Window) -> Canvas:
     head = ["cell", "i, j"]
     for face in faces:
         head += [f"centre {_lens(face)} x, y", f"apex {_lens(face)} from it x, y", f"step {_lens(face)}"]
-        both, own_axes = window.many_aspects or _turned(face), _turned(face)
+        both, own_axes = window.many_aspects or face.own_axes, face.own_axes
         head += [f"radius {_lens(face)}{' x, y' * both}"] if window.many_sizes else []
         head += [f"turn {_lens(face)}"] * own_axes
     rows = []
@@ -199,20 +199,15 @@ def cells_table(window: Window) -> Canvas:
             row.append(mm_text(step * mm))
             if window.many_sizes:
                 own = window.in_cell(face, index)
-                radii = principal_radii(own.surface)[: 2 if window.many_aspects or _turned(face) else 1]
+                radii = principal_radii(own.surface)[: 2 if window.many_aspects or face.own_axes else 1]
                 row.append(", ".join(mm_text(own.side * radius * mm) for radius in radii))
-                row += [f"{euler_degrees(own.rotation)[0]:.6g}°"] * _turned(face)
+                row += [f"{euler_degrees(own.rotation)[0]:.6g}°"] * face.own_axes
         rows.append(row)
     title = (
         "cells that differ (mm; step: the highest to a neighbour; worst: the lens farthest from the middle of"
         " its cell)"
     )
     return table(title, head, rows)
-
-
-def _turned(face: Face) -> bool:
-    """Whether each lens of a face has axes of its own."""
-    return face.change is not None and face.change.rotation is not None
 
 
 def _one_face_an_array(window: Window) -> list[Face]:

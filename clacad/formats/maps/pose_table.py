@@ -107,7 +107,7 @@ def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
                 " lengths times its size"
             ),
         }
-    if face.change is not None and face.change.rotation is not None:
+    if face.own_axes:
         found |= {"rotation": None, "axes": "cell by cell in the pose table"}
     if face.change is not None and face.change.aspect is not None:
         found["aspect"] = (
