@@ -110,10 +110,14 @@ def launched(
     direction : (n, 3) unit; middle : (3,) unit; field : radians; aperture : part of the cell, as in `Bundle`.
     """
     place = window.lattice.centres(np.array([cell], dtype=np.int64))[0] + np.asarray(window.shifts[0])
-    at = np.column_stack([local + place, np.zeros(len(local))])
+    return Bundle(middle, field, aperture, cell, rays_across(window, local + place, direction), local)
+
+
+def rays_across(window: Window, place: Floats, direction: Floats) -> Rays:
+    """Rays that start below the window and cross z = 0 at `place` (n, 2), lengths."""
+    at = np.column_stack([place, np.zeros(len(place))])
     below = window.z_range[0] - 0.5 * max(window.lattice.pitch)
-    start = at + direction * (below / direction[:, 2:])
-    return Bundle(middle, field, aperture, cell, Rays(start, direction), local)
+    return Rays(at + direction * (below / direction[:, 2:]), direction)
 
 
 def of_rays(rays: Rays) -> Bundle:

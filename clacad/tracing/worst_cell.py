@@ -19,7 +19,7 @@ from clacad.base.types import Floats, Ints, Pair2
 from clacad.light.measure import Light, Weights, measure, rms_angles
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult, joined_results
-from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, cone
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, cone, rays_across
 from clacad.sheet.like_cell import heated, like_cell
 from clacad.sheet.representative_cells import SAMPLED, central_cell, representative_cells
 from clacad.sheet.vignetting import aperture_slopes
@@ -233,9 +233,6 @@ def through_all(
     middles = np.column_stack([slopes, np.ones(len(cells))])
     middles /= np.linalg.norm(middles, axis=1)[:, None]
     direction = np.concatenate([cone(one, field, points[:, 2:]) for one in middles])
-    place = np.repeat(window.centres(0, cells), count, axis=0) + local
-    below = window.z_range[0] - 0.5 * max(window.lattice.pitch)
-    start = np.column_stack([place, np.zeros(len(place))]) + direction * (below / direction[:, 2:])
-    sent = Rays(start, direction)
+    sent = rays_across(window, np.repeat(window.centres(0, cells), count, axis=0) + local, direction)
     result = trace(window, sent, path="size")
     return sent, replace(result, direction=RequestedLaw.of(window).without_focus(local, result.direction))

@@ -35,7 +35,7 @@ from clacad.base.units import millimetres
 from clacad.judging.cell_triangles import Cell, CellFacets, own_facets, telescopelet
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.optics.sequence import trace_sequence
-from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, launched, middle_direction
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, launched, middle_direction, rays_across
 from clacad.sheet.like_cell import interfaces
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.vignetting import half_field, share, thin_cells
@@ -227,10 +227,8 @@ def _through_middle(window: Window, lit: Bundle) -> tuple[Floats, NDArray[np.boo
     Traced through the faces without cell borders: a ray through the middle belongs to its telescopelet.
     """
     direction = lit.rays.direction / np.linalg.norm(lit.rays.direction, axis=1, keepdims=True)
-    below = window.z_range[0] - 0.5 * max(window.lattice.pitch)
-    start = direction * (below / direction[:, 2:])
-    start[:, :2] += np.asarray(window.shifts[0])
-    result = trace_sequence(interfaces(window), Rays(start, direction))
+    middle = np.broadcast_to(window.shifts[0], (len(direction), 2))
+    result = trace_sequence(interfaces(window), rays_across(window, middle, direction))
     return result.direction, result.fate == Fate.ALIVE
 
 
