@@ -387,6 +387,7 @@ def test_lines_traced_at_once_are_those_traced_one_by_one_bit_by_bit(kind, rows)
             assert np.array_equal(together, getattr(alone, name), equal_nan=True), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("eta", ["[-1, -0.5]", "[-1, -1]"])
 def test_lines_in_single_precision_are_rounded_as_one_line_is(eta):
     """Where the first face is solved by iteration, and where it is a quadric."""
