@@ -13,8 +13,9 @@ process makes of it. Where the file is something else, the check of shape names 
 turned, mirrored, scaled the wrong way.
 
 Light: deviations of the file over one cell are fitted by Legendre polynomials to degree 8; the process makes
-of that form the face through which rays are traced. Steps are texture, which rays do not see. Facets of an
-insert are traced as the part has them.
+of that form the face through which rays are traced (`tracing.facets.made_surface`). Light that meets what a
+nose or spot rounds there is lost. Steps are texture, which rays do not see. Facets of an insert are traced as
+the part has them.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ import numpy as np
 from clacad.base.types import Floats
 from clacad.checks.check import Check, other
 from clacad.checks.file_kinds import READABLE, SHAPE, THROUGH_FILE, unreadable
+from clacad.design.process import process_of
 from clacad.exporting.formats import registry
 from clacad.exporting.formats.file_kind import FaceFile, FileKind, Reading
 from clacad.exporting.formats.workshop import is_insert, surface_misfit
@@ -45,12 +47,14 @@ from clacad.optics.fit import legendre
 from clacad.sheet.like_cell import named_cell
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.shrunk import TURN, growth, insert_window
-from clacad.sheet.window import Face, Window, face_height
+from clacad.sheet.window import Face, Window
 from clacad.storage.errors import BadRequest, ExportError, UnreadableFile
+from clacad.tracing.facets.made_surface import MadeSurface, made_surface
 from clacad.tracing.facets.telescopelet import (
     AnyFace,
     ExactFace,
     FacetBody,
+    GraphFace,
     facet_face,
     on_land,
     sampled_face,
@@ -59,6 +63,7 @@ from clacad.tracing.facets.telescopelet import (
 from clacad.tracing.worst_cell import SeenCell
 
 if TYPE_CHECKING:
+    from clacad.design import Design
     from clacad.exporting.compensation import Compensation
     from clacad.exporting.formats.file_kind import FileKind
     from clacad.judging.delivery import Inspection, Subject
@@ -217,8 +222,8 @@ def _labelled(window: Window, name: str) -> bool:
     return any(f".{label}." in name for _, _, label in structured_faces(window))
 
 
-DEGREE, GRID = 8, 33
-"""Highest total degree of the fitted form; nodes along a cell side at which it is given to the tracer."""
+DEGREE = 8
+"""Highest total degree of the fitted form."""
 
 CUT_FROM = (
     "facets of an insert are judged by their shape: where they are too coarse, cut from the STEP or the map"
@@ -340,15 +345,23 @@ def _light(
         what = f"{what} ({of.label}; the rest as designed)"
         return light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)
 
+    insert = of.window.bodies[0].name == of.label  # the steel is named after its face
+    made = _made(asked.design, one.like, like, compensation, insert)
     if facets is None:
-        made, step = _made(one.like, like, of, points, one.index, compensation)
-        form = partial(sampled_face, one.like, like, samples=made, step=step)
-        return checks("form of the part that it makes, without roundings and texture", form)
+        off = replace(
+            made, off=_off(of, points, one.index, insert and like.side < 0, -1.0 if insert else -like.side)
+        )
+
+        def form(place: Floats) -> AnyFace:
+            return GraphFace(like, place, one.like, off, off.rounded, (1.0, 1.0))
+
+        return checks("form of the part that it makes, clear of roundings", form)
     local = _made_facets(like, of, facets, one.index, compensation)
 
     def as_facets(place: Floats) -> AnyFace:
         there = local + place
-        return facet_face(there, place + [0.0, 0.0, like.vertex[2]], on_land(one.like, like, there))
+        aside = on_land(one.like, like, there) | made.rounded(*local[..., :2].mean(axis=1).T)
+        return facet_face(there, place + [0.0, 0.0, like.vertex[2]], aside)
 
     found = checks("facets of the part that it makes", as_facets)
     return [replace(softened(check), sentence=f"{check.sentence}; {CUT_FROM}") for check in found]
@@ -392,29 +405,24 @@ def _file_cell(of: FaceFile, cell: tuple[int, int], turned: bool) -> tuple[Float
 
 
 def _made(
-    window: Window,
-    face: Face,
-    of: FaceFile,
-    points: Floats,
-    cell: tuple[int, int],
-    compensation: Compensation,
-) -> tuple[Floats, Floats]:
-    """Samples (m, 3) of the made face over a cell, cell frame of the part, and their step (2,).
+    design: Design, window: Window, face: Face, compensation: Compensation, insert: bool = False
+) -> MadeSurface:
+    """The face that the process makes of a compensated file, or of an insert; `window`: of the part, uniform.
 
-    window, face : Of the part, uniform equivalent of the cell.
+    What a dose makes of depths is in its own calibration.
     """
-    insert = of.window.bodies[0].name == of.label  # the steel is named after its face
-    turned = insert and face.side < 0
-    middle, own, half = _file_cell(of, cell, turned)
-    fit = _form(of, points, middle)
-    grow = np.array(growth(compensation.shrinkage))
-    tile = window.lattice_of(face.array or 0).tile()
-    reach = np.abs(tile).max(axis=0)
-    x, y = np.meshgrid(*(np.linspace(-r, r, GRID) for r in reach))
-    u, v = x.ravel() * grow[0], y.ravel() * (-grow[1] if turned else grow[1])
-    height = face_height(of.window, own, u, v) + fit(u, v) - own.vertex[2]
-    outward = -height if insert else -of.face.side * height
-    return _shrunk(face, compensation, half, (u, v, outward), turned), 2.0 * reach / (GRID - 1)
+    process = replace(process_of(design), gamma=1.0, curve=None)
+    process = replace(process, name="moulding") if insert else process
+    scaled = compensation.window(window)
+    return made_surface(scaled, scaled.faces[window.number_of(face)], process, None)
+
+
+def _off(
+    of: FaceFile, points: Floats, cell: tuple[int, int], turned: bool, way: float
+) -> Callable[[Floats, Floats], Floats]:
+    """Outward deviation of the form of a file over a cell, over places of the part before it shrinks."""
+    fit = _form(of, points, _cell_of_file(of, cell, turned))
+    return lambda x, y: way * fit(x, -y if turned else y)
 
 
 def _cell_of_file(of: FaceFile, cell: tuple[int, int], turned: bool) -> Floats:
@@ -468,7 +476,8 @@ def judge_scaled(
     checks : Against the sheet as files hold it.
     """
     dark = [check for check in checks if check.where != "file" or check.kind not in THROUGH_FILE]
-    if compensation.uniform:
+    process = process_of(asked.design)
+    if compensation.uniform and not (process.nose or process.spot):
         return list(checks)
     shape = SHAPE.first(checks)
     if shape is None or shape.state != "pass":
@@ -476,7 +485,20 @@ def judge_scaled(
         return [*dark, *(one.not_run(why, **asked.common) for one in THROUGH_FILE)]
     one = lit_cell(asked, window)
     what = "faces as the process makes them of it"
-    return [*dark, *light_of_cell(asked, one, lambda lit: one.send(one.placed(lit)), what)]
+
+    def as_made(face: Face) -> AnyFace:
+        place = np.array([*_centre(one.like, face, one.index), 0.0])
+        if face.array is None:
+            return ExactFace(face, place, one.like)
+        made = _made(asked.design, one.like, face, compensation)
+        return GraphFace(face, place, one.like, made, made.rounded, (1.0, 1.0))
+
+    try:
+        through = tuple(FacetBody(as_made(body.front), as_made(body.back), body) for body in one.like.bodies)
+    except ExportError as error:
+        why = f"no light can be sent through the part that it makes: {error}"
+        return [*dark, *(kind.not_run(why, **asked.common) for kind in THROUGH_FILE)]
+    return [*dark, *light_of_cell(asked, one, lambda lit: trace_facets(through, one.placed(lit).rays), what)]
 
 
 def named_uncompensated(

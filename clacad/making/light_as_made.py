@@ -20,7 +20,6 @@ from clacad.checks.check import Check
 from clacad.checks.file_kinds import MADE_LIGHT, MADE_SEAM, MADE_TEXTURE
 from clacad.design.process import Process, process_of
 from clacad.light.measure import Light, measure
-from clacad.making.made_surface import Lenslet, MadeSurface, made_face, made_surface, read_curve
 from clacad.making.texture import texture_of, texture_phase
 from clacad.measuring.light_through_form import PHASE, mean_error
 from clacad.optics.rays import Fate, TraceResult
@@ -28,6 +27,7 @@ from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, launched
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH
 from clacad.sheet.window import Body, Window
 from clacad.storage.errors import NotPossible
+from clacad.tracing.facets.made_surface import Lenslet, MadeSurface, made_face, made_surface, read_curve
 from clacad.tracing.facets.telescopelet import FacetBody, trace_facets
 from clacad.tracing.worst_cell import worst_cell
 

@@ -83,10 +83,12 @@ class Nose:
         """Corners (m, 2) of the part of a cell that lenses take."""
         return optical_tile(self.window, self.array)
 
-    @property
+    @cached_property
     def land(self) -> float | None:
         """Height of the flat land between lenses; None: there is none."""
-        return None if self.face.land is None else self.way * (self.face.land - self.face.vertex[2])
+        if self.face.land is None or not self.window.land.seam and (self.out < 0.0 or _covered(self)):
+            return None
+        return self.way * self.out * (self.face.land - self.face.vertex[2])
 
     # x and y are counted from the middle of the cells `index` (n, 2) along the sheet's axes, z and normals
     # point away from the material. Without an index all lenses are the one that the face describes.
@@ -102,7 +104,7 @@ class Nose:
         z, normal = self.lens(x, y, index)
         if self.land is None:
             return z, normal
-        flat = ~(z > self.land) | (self.past(x, y) > 1e-12 * min(self.lattice.pitch))
+        flat = ~(self.out * (z - self.land) > 0.0) | (self.past(x, y) > 1e-12 * min(self.lattice.pitch))
         return np.where(flat, self.land, z), np.where(flat[:, None], [0.0, 0.0, 1.0], normal)
 
     def past(self, x: Floats, y: Floats) -> Floats:
@@ -151,7 +153,7 @@ class Nose:
         at = self.window.centres(self.array, first) + np.stack([x, y], axis=1)
         cell, x, y = self.window.locate(self.array, at[:, 0], at[:, 1])  # the one under the centre
         index = None if index is None else cell
-        found = np.full(np.shape(x), -np.inf if self.land is None else self.land + self.nose)
+        found = over_land(self, x, y)
         for step in self.around:
             dx, dy = self.lattice.offset(*step)
             near = self.past(x - dx, y - dy) < self.reach
@@ -160,11 +162,11 @@ class Nose:
                 near &= self.window.lattice.contains(beside)
             (rows,) = np.nonzero(near)
             if len(rows):
-                there = self._rolled(x[rows] - dx, y[rows] - dy, None if beside is None else beside[rows])
+                there = self.rolled(x[rows] - dx, y[rows] - dy, None if beside is None else beside[rows])
                 found[rows] = np.fmax(found[rows], there)
         return found
 
-    def _rolled(self, x: Floats, y: Floats, index: Ints | None) -> Floats:
+    def rolled(self, x: Floats, y: Floats, index: Ints | None) -> Floats:
         """Height (n,) of the centre of the nose on lenses that end at their borders."""
         p, q = self.contact(x, y, index)
         z, normal = self.lens(p, q, index)
@@ -172,6 +174,8 @@ class Nose:
         (rows,) = np.nonzero(~(self.past(p, q) <= 0.0))
         x, y, own = x[rows], y[rows], None if index is None else index[rows]
         found[rows] = -np.inf
+        if self.out < 0.0 and self.land is not None:
+            return found  # a pit ends at a wall, whose rim is higher
         for start, end in zip(self.zone, np.roll(self.zone, -1, axis=0), strict=True):
             found[rows] = np.fmax(found[rows], self._on_edge(x, y, own, (start, end)))
         return found
@@ -197,6 +201,29 @@ class Nose:
         z, _ = self.lens(start[0] + t * ex, start[1] + t * ey, index)
         there = z + np.sqrt(np.maximum(reach**2 - (t - middle) ** 2, 0.0))
         return np.where((square > 0.0) & (np.abs(t - middle) <= reach), there, -np.inf)
+
+
+def _covered(nose: Nose) -> bool:
+    """Whether lenses cover their cells, so that land of theirs lies outside the array only."""
+    if not nose.window.uniform:
+        return False
+    share = (np.arange(EDGE_POINTS) / EDGE_POINTS)[:, None]
+    edge = np.concatenate([a + share * (b - a) for a, b in zip(nose.zone, np.roll(nose.zone, -1, axis=0))])
+    land = nose.way * ((nose.face.land or 0.0) - nose.face.vertex[2])
+    return bool((nose.lens(edge[:, 0], edge[:, 1])[0] > land).all())
+
+
+def over_land(nose: Nose, x: Floats, y: Floats) -> Floats:
+    """Height (n,) of the centre of the nose that touches land; −infinite out of its reach.
+
+    On the part land lies below all lenses. In an insert lenses are pits, and the nose rolls over their rim.
+    """
+    if nose.land is None:
+        return np.full(np.shape(x), -np.inf)
+    if nose.out > 0.0:
+        return np.full(np.shape(x), nose.land + nose.nose)
+    square = nose.nose**2 - np.maximum(-nose.past(x, y), 0.0) ** 2
+    return np.where(square >= 0.0, nose.land + np.sqrt(np.maximum(square, 0.0)), -np.inf)
 
 
 @dataclass(frozen=True, eq=False)

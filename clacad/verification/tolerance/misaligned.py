@@ -115,7 +115,7 @@ class Telescopelet:
     def _inside(self, hits: Floats) -> Bools:
         """Which rays (n,) hit every lens face in the optical zone; hits (f, n, 3) in the frames of cells."""
         from clacad.design.process import Process
-        from clacad.making.made_surface import MadeSurface
+        from clacad.tracing.facets.made_surface import MadeSurface
 
         window, lined = self.window, lined_face(self.window)
         lenses = [k for k, (face, _, _) in enumerate(self.faces) if face.array is not None]
@@ -226,8 +226,8 @@ def _face_as_made(window: Window, face: Face, part: str | None, errors: Errors) 
     bent = replace(face, surface=surface)
     if gamma := errors.get("gamma", 0.0):
         from clacad.design.process import Process
-        from clacad.making.made_surface import MadeSurface
         from clacad.optics.fit import nearest_polynomial
+        from clacad.tracing.facets.made_surface import MadeSurface
 
         made = MadeSurface(window, bent, Process(gamma=1.0 + gamma))
         u, v = made.lens.grid

@@ -3,7 +3,7 @@
 In order: the ball nose of a tool closes the valleys between convex lenslets (sphere, torus along a seam, ball
 in a corner); a power or table changes heights; moulded lenslets sink in the middle; a Gaussian spot blurs;
 shrinkage scales. Shrinkage alone leaves a conic or polynomial face one, with other numbers.
-Texture is not part of the surface, see `texture`.
+Texture is not part of the surface, see `making.texture`.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from clacad.base.text import percent_text
-from clacad.base.types import Bools, Floats
+from clacad.base.types import Bools, Floats, Ints
 from clacad.design.process import Process
-from clacad.formats.maps.tool_path import DEEP, Nose, ToolFace
+from clacad.formats.maps.tool_path import HALVINGS, Nose, over_land
 from clacad.optics.surface.sag_and_normal import (
     EvenPolynomial,
     conic_constants,
@@ -43,6 +42,15 @@ SEAM_SIGMAS = 4.0
 
 ON_SEAM = 65
 """Positions of the tool along a seam between faces that are not spheres."""
+
+SLOPE = 1e-4
+"""Distance over half a cell at which slopes of a form are taken."""
+
+IN_CORNER = 17
+"""Positions of the tool on the way into the corner of a lens."""
+
+SHARP = 1e-12
+"""Relative distance past a crease that rounding makes."""
 
 NODES = 17
 """Places along each side of the box around a cell at which a face is fitted."""
@@ -128,6 +136,20 @@ class Lenslet:
         return np.nan_to_num(height), np.nan_to_num(dx), np.nan_to_num(dy)
 
 
+@dataclass(frozen=True, eq=False)
+class Crease:
+    """Places along a side of a lens past which the tool touches something else than the lens.
+
+    t : (k,). Along the side.
+    share : (k,). Part of the way from the middle of the lens to the side.
+    centres : (m, 3). Centre of the tool there, and on the way from the corner of the lens to the first place.
+    """
+
+    t: Floats
+    share: Floats
+    centres: Floats
+
+
 class BallNose(Nose):
     """A nose that rolls over an array of lenslets, or over the insert they are moulded in; what it leaves."""
 
@@ -148,12 +170,26 @@ class BallNose(Nose):
         return self.out * height, self.out * dx, self.out * dy
 
     def rounds(self, x: Floats, y: Floats) -> Bools:
-        """At which places (n,) the tool would have to leave its cell to touch the lenslet."""
-        centre_x, centre_y = self._tool_over(x, y)
-        found = np.zeros(np.shape(x), dtype=bool)
-        for normal, width, *_ in self.own.sides:
-            found |= normal[0] * centre_x + normal[1] * centre_y > width
-        return found
+        """At which places (n,) the centre of the tool that touches the lens lies past a crease."""
+        sector, share, along = self._sector(*self._tool_over(x, y))
+        if self.land is None:
+            return np.asarray(share > 1.0)
+        most = np.empty(np.shape(share))
+        for number, crease in enumerate(self._creases):
+            here = sector == number
+            most[here] = np.interp(along[here], crease.t, crease.share)
+        return np.asarray(share > most * (1.0 + SHARP))
+
+    def _sector(self, x: Floats, y: Floats) -> tuple[Ints, Floats, Floats]:
+        """Side of the lens (n,) towards which places lie from its middle, their part of the way there, and
+        where along that side the way ends.
+        """
+        part = np.stack([(normal[0] * x + normal[1] * y) / width for normal, width, *_ in self.own.sides])
+        sector = part.argmax(axis=0)
+        share = part.max(axis=0)
+        normal = np.array([one[0] for one in self.own.sides])[sector]
+        along = (normal[..., 0] * y - normal[..., 1] * x) / np.where(share > 0.0, share, 1.0)
+        return sector, share, along
 
     def _seen(self, x: Floats, y: Floats) -> Heights:
         """The face as the tool sees it: of an insert, the negative."""
@@ -167,53 +203,76 @@ class BallNose(Nose):
         return x - steep * dx, y - steep * dy
 
     def _lowest_ball(self, x: Floats, y: Floats) -> Heights:
-        """Lowest ball of a tool whose centre is on a seam, over places (n,); infinite out of its reach."""
+        """Lowest ball of a tool whose centre is on a crease, over places (n,); infinite out of its reach."""
         best: list[Floats] = [np.full(len(x), np.inf), np.zeros(len(x)), np.zeros(len(x))]
-        for number, (normal, *_) in enumerate(self.own.sides):
-            across, along, centre = self._centre_on(number, x, y)
-            square = self.nose**2 - across**2 - along**2
+        for number in range(len(self.own.sides)):
+            centre_x, centre_y, centre = self._centre_on(number, x, y)
+            u, v = x - centre_x, y - centre_y
+            square = self.nose**2 - u**2 - v**2
             root = np.sqrt(np.where(square > 0.0, square, 1.0))
             height = np.where(square > 0.0, centre - root, np.inf)
-            slope_x = (normal[0] * across - normal[1] * along) / root
-            slope_y = (normal[1] * across + normal[0] * along) / root
             lower = height < best[0]
-            for k, one in enumerate((height, slope_x, slope_y)):
+            for k, one in enumerate((height, u / root, v / root)):
                 best[k] = np.where(lower, one, best[k])
         return best[0], best[1], best[2]
 
     def _centre_on(self, number: int, x: Floats, y: Floats) -> Heights:
-        """Offset (n,) of places across and along a seam from the tool that touches them, and its height."""
+        """Centre (n,) of the tool on a crease whose ball is lowest over places."""
         normal, width, low_t, high_t = self.own.sides[number]
-        p_n, p_t = normal[0] * x + normal[1] * y - width, normal[0] * y - normal[1] * x
         sphere = self.own.sphere
-        if sphere is not None:
+        if sphere is not None and self.land is None:
+            p_n, p_t = normal[0] * x + normal[1] * y - width, normal[0] * y - normal[1] * x
             ring = sqrt((sphere + self.nose) ** 2 - width**2)
             tube = np.sqrt(np.maximum(self.nose**2 - p_n**2, 0.0))
-            centre_t = np.clip(p_t * ring / (ring - tube), low_t, high_t)
-            return p_n, p_t - centre_t, np.sqrt(ring**2 - centre_t**2) - sphere
-        t, height = self._path[number]
-        square = self.nose**2 - p_n[:, None] ** 2 - (p_t[:, None] - t) ** 2
-        drop = np.where(square > 0.0, height - np.sqrt(np.maximum(square, 0.0)), np.inf)
-        k = np.clip(np.argmin(drop, axis=1), 1, len(t) - 2)
+            t = np.clip(p_t * ring / (ring - tube), low_t, high_t)
+            at = width * normal[0] - t * normal[1], width * normal[1] + t * normal[0]
+            return *at, np.sqrt(ring**2 - t**2) - sphere
+        line = self._creases[number].centres
+        square = self.nose**2 - ((np.stack([x, y], axis=1)[:, None] - line[:, :2]) ** 2).sum(axis=2)
+        drop = np.where(square > 0.0, line[:, 2] - np.sqrt(np.maximum(square, 0.0)), np.inf)
+        lowest = np.argmin(drop, axis=1)
+        k = np.clip(lowest, 1, len(line) - 2)
         rows = np.arange(len(x))
         a, b, c = (drop[rows, k + shift] for shift in (-1, 0, 1))
         with np.errstate(invalid="ignore"):
-            part = np.where(np.isfinite(a) & np.isfinite(c), 0.5 * (a - c) / (a - 2.0 * b + c), 0.0)
-        part = np.clip(np.nan_to_num(part), -1.0, 1.0)
-        low, middle, high = height[k - 1], height[k], height[k + 1]
-        centre = middle + 0.5 * part * (high - low) + 0.5 * part**2 * (high - 2.0 * middle + low)
-        return p_n, p_t - t[k] - part * (t[1] - t[0]), centre
+            bend = a - 2.0 * b + c
+            part = np.where(np.isfinite(bend) & (bend > 0.0), 0.5 * (a - c) / bend, lowest - k)
+        part = np.clip(np.nan_to_num(part), -1.0, 1.0)[:, None]
+        low, middle, high = line[k - 1], line[k], line[k + 1]
+        found = middle + 0.5 * part * (high - low) + 0.5 * part**2 * (high - 2.0 * middle + low)
+        return found[:, 0], found[:, 1], found[:, 2]
 
     @cached_property
-    def _path(self) -> list[tuple[Floats, Floats]]:
-        """Positions along each seam and height of the centre of the tool there."""
-        found = []
-        for normal, width, low, high in self.own.sides:
-            t = np.linspace(low, high, ON_SEAM)
-            found.append(
-                (t, self.path_height(width * normal[0] - t * normal[1], width * normal[1] + t * normal[0]))
-            )
-        return found
+    def _creases(self) -> list[Crease]:
+        """Where the tool, going out from the middle to each side, touches something else."""
+        t = np.stack([np.linspace(low, high, ON_SEAM) for *_, low, high in self.own.sides])
+        (nx, ny), width = (np.array([one[k] for one in self.own.sides]).T[..., None] for k in (0, 1))
+        x, y = width * nx - t * ny, width * ny + t * nx
+        share = np.ones(t.shape)
+        if self.land is not None:
+            share = self._leaves(x.ravel(), y.ravel()).reshape(t.shape)
+            out = np.linspace(1.0, share[:, :1], IN_CORNER, axis=1)[..., 0]  # in a corner, between two walls
+            x, y = (np.hstack([out[:, :-1] * one[:, :1], share * one]) for one in (x, y))
+        heights = self.path_height(x.ravel(), y.ravel()).reshape(x.shape)
+        return [Crease(*one) for one in zip(t, share, np.stack([x, y, heights], axis=2), strict=True)]
+
+    def _leaves(self, x: Floats, y: Floats) -> Floats:
+        """Part of the way to places (n,) on the border of lenses up to which the tool touches its lens alone.
+
+        It ends at land, or on the border of the cell, where a tool touches the next lens as well.
+        """
+        half = np.array(self.lattice.half_widths)[:, None]
+        high = 1.0 / (1.0 + self.lattice.past_borders(x, y) / half).max(axis=0)
+        low = np.where(self._free(high * x, high * y), high, 0.0)
+        for _ in range(HALVINGS):
+            middle = 0.5 * (low + high)
+            clear = self._free(middle * x, middle * y)
+            low, high = np.where(clear, middle, low), np.where(clear, high, middle)
+        return low
+
+    def _free(self, x: Floats, y: Floats) -> Bools:
+        """Whether (n,) a tool with its centre over places touches its own lens, and no land."""
+        return np.asarray(self.rolled(x, y, None) >= over_land(self, x, y))
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,12 +283,14 @@ class MadeSurface:
     process : Lengths in metres.
     depths : Made depth (metres) over the share of the deepest requested one, or its derivative of an order;
         None without `curve`.
+    off : Outward height (n,) over places (n,) that the command has besides the face, smooth; None: nothing.
     """
 
     window: Window
     face: Face
     process: Process
     depths: Callable[[Floats, int], Floats] | None = None
+    off: Callable[[Floats, Floats], Floats] | None = None
 
     @cached_property
     def lens(self) -> Lenslet:
@@ -249,11 +310,10 @@ class MadeSurface:
 
     @cached_property
     def tool(self) -> BallNose | None:
-        """The tool that rolls in the valleys of this face; None: there is none, or only ridges or land."""
-        if not self.process.nose or not self.convex or self.face.land is not None:
-            return None
+        """The tool that rolls in the valleys of this face; None: there is none, or only ridges."""
         sign = -1.0 if self.process.cut_as_insert else 1.0
-        return BallNose(self.window, self.face, self.process.nose / self.window.unit, out=sign)
+        tool = BallNose(self.window, self.face, self.process.nose / self.window.unit, out=sign)
+        return tool if self.process.nose and (self.convex or tool.land is not None) else None
 
     @cached_property
     def spot(self) -> float:
@@ -280,6 +340,13 @@ class MadeSurface:
     def wished(self, x: Floats, y: Floats) -> Heights:
         """The face as made but for shrinkage: outward height (n,), and its slopes."""
         made = self._blurred(x, y) if self.spot else self._pointwise(x, y)
+        if self.off is not None:
+            step = SLOPE * float(np.abs(self.lens.tile).max())
+            (right, left), (up, down) = (
+                [self.off(x + way * a, y + way * b) for way in (0.5, -0.5)]
+                for a, b in ((step, 0.0), (0.0, step))
+            )
+            made = made[0] + self.off(x, y), made[1] + (right - left) / step, made[2] + (up - down) / step
         depth = self.process.sink / self.window.unit
         if not depth:
             return made
@@ -369,8 +436,6 @@ def made_surface(
     """
     made = MadeSurface(window, face, process, depths)
     nose, unit = process.nose / window.unit, 1e6 * window.unit
-    if nose and window.land.seam > 0.0 and face.array is not None and face.land is not None:
-        _refuse_land(window, face, nose, process.cut_as_insert)
     if nose and not made.convex and np.isfinite(made.lens.sharpest) and nose >= abs(made.lens.sharpest):
         cut = "insert of a face" if process.cut_as_insert else "concave face"
         raise NotPossible(
@@ -379,27 +444,6 @@ def made_surface(
             " smaller"
         )
     return made
-
-
-def _refuse_land(window: Window, face: Face, nose: float, insert: bool) -> None:
-    """Refuse a tool that rounds lenses next to land; what it leaves on the land meets no light of lenses.
-
-    Raises NotPossible.
-    """
-    unit = 1e6 * window.unit
-    if insert:
-        raise NotPossible(
-            f"process.nose {nose * unit:g} um with land (lattice.seam): the insert has pits with walls, and"
-            ' what a tool leaves at their foot is not known; set process.nose = "0 um" or lattice.seam = 0'
-        )
-    depths, area, _ = ToolFace(window, face, nose, 1.0).depths
-    share = float(((depths > DEEP * min(window.lattice.pitch)) @ area).max())
-    if share > 0.0:
-        raise NotPossible(
-            f"process.nose {nose * unit:g} um does not reach {percent_text(share)} of lenses next to land"
-            f" {window.land.seam * unit:g} um wide (lattice.seam), and the rest is not judged as made; take a"
-            " smaller nose, or a wider seam"
-        )
 
 
 def made_face(made: MadeSurface, origin: Floats) -> AnyFace:
