@@ -47,11 +47,11 @@ class Verify(OfDesignAsMade):
     )
     role: tuple[str, ...] = option(
         "--role WORD|FORMAT=WORD,...",
-        "What files are for: master (parts are made from it), preview, or scan.",
+        "What files are for: master (parts are made from it), preview, tooling, or scan.",
         (),
     )
     overwrite: bool = declared("overwrite")
-    also: tuple[Path, ...] = option("[FILE]...", "A second map of the part, after --files MAP.", ())
+    also: tuple[Path, ...] = option("[FILE]...", "More files, or a second map of the part, after --files.", ())
     side: tuple[str, ...] = option("--side FILE=front|back", "Side that a map shows; else by its name.", ())
     z_scale: str | None = option("--z-scale TEXT", "Scale of a map's heights, e.g. '1.0063 +- 1e-4'.")
     lateral_scale: str | None = option("--lateral-scale TEXT", "Lateral scale of a map.")
@@ -95,7 +95,7 @@ def _subjects(design: Design, request: Verify) -> tuple[Delivery | None, int]:
     from clacad.judging.delivery import declared_roles, list_files
 
     roles = declared_roles(per_format("--role", request.role))
-    delivery = None if request.files is None else list_files(request.files, roles)
+    delivery = None if request.files is None else list_files(request.files, roles, request.also)
     return delivery, request.rays if request.target is None else _rays(design, request, request.target)
 
 
@@ -123,11 +123,11 @@ def _maps(request: Verify) -> Maps | None:
         request.cell,
         *request.side,
     ]
+    if request.also and not files:
+        raise BadOption(f"{request.also[0]}: a word too many; files are given with --files")
     scan = per_format("--role", request.role) == "scan"
-    only = any(one is not None for one in stated) or len(files) > 1
+    only = any(one is not None for one in stated) or len(files) > 1 and not request.role
     if not files or not (scan or only):
-        if request.also:
-            raise BadOption(f"{request.also[0]}: a word too many; files are given with --files")
         return None
     from clacad.measuring.measure import Maps, maps_of
     from clacad.measuring.read_map import ENDINGS, is_map
@@ -136,7 +136,8 @@ def _maps(request: Verify) -> Maps | None:
         return None
     if not scan or any(path.suffix.lower() not in ENDINGS for path in files):
         raise BadOption(
-            f"scales, sides and several files are of height maps ({', '.join(ENDINGS)}): --role scan"
+            "scales, sides and several files without a role are of height maps"
+            f" ({', '.join(ENDINGS)}): --role scan"
         )
     if request.target is not None or request.cells is not None:
         raise BadOption("--target and --cells are not for height maps")
@@ -262,10 +263,10 @@ def _rays(design: Design, request: Verify, target: float) -> int:
     from clacad.verification.accuracy.choose_setting import floor_of, out_of_reach
     from clacad.verification.run import rays_for
 
-    files, cells = request.files, request.cells
+    cells = request.cells
     window = prescribe(design if cells is None else design.with_cells(cells))
-    if files is not None and files.is_file():
-        kind = kind_ending(files.suffix)
+    for file in (request.files, *request.also):
+        kind = None if file is None or not file.is_file() else kind_ending(file.suffix)
         if kind is not None and kind.family == "mesh":
             format = kind.like or kind.word
             floor = floor_of(design, window, format)

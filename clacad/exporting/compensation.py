@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from clacad.design.process import process_of
+from clacad.design.process import Process, process_of
 from clacad.sheet.shrunk import bent_window, grown_window, growth
 
 if TYPE_CHECKING:
@@ -32,6 +32,11 @@ class Compensation:
         """The sheet as files hold it. Raises CannotShrink."""
         apart = growth((self.thickness,) * 3)[2]
         return bent_window(grown_window(window, growth(self.shrinkage), apart), self.sink)
+
+    @property
+    def cut_as_insert(self) -> bool:
+        """Whether a tool cuts the negative of the part."""
+        return Process(self.process).cut_as_insert
 
     @property
     def uniform(self) -> bool:

@@ -171,16 +171,23 @@ def declared_roles(asked: str | Mapping[str, str] | None) -> Roles:
     return found
 
 
-def list_files(place: Path, roles: Roles | None = None) -> Delivery:
+def list_files(place: Path, roles: Roles | None = None, also: Sequence[Path] = ()) -> Delivery:
     """List the files to judge by name and size; no file is read, so the size of a large one is known at once.
 
     roles : Declared by the person who verifies; see `declared_roles`.
+    also : More files next to the first.
     Raises FileNotFoundError: Nothing exists at `place`, or a folder holds no manifest and no file of a known
         format.
-    Raises BadRequest: The folder holds a stack of sheets, which one design does not describe.
+    Raises BadRequest: The folder holds a stack of sheets, which one design does not describe; folders among
+        several files, or files of several exports.
     Raises UnknownRole: A role is declared for a file that is not among them.
     """
     delivery = _found(place)
+    for path in also:
+        one = _found(path)
+        if place.is_dir() or path.is_dir() or one.manifest != delivery.manifest:
+            raise BadRequest(f"{path}: several files are judged together where they are of one export")
+        delivery = replace(delivery, subjects=(*delivery.subjects, *one.subjects))
     if delivery.manifest is not None and "stack" in delivery.manifest:
         raise BadRequest(
             f"{place}: what was written there is a stack of several sheets; `clacad stack A.toml B.toml --gap"

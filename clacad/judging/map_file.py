@@ -35,7 +35,7 @@ from clacad.checks.file_kinds import READABLE, SHAPE, THROUGH_FILE, unreadable
 from clacad.design.process import process_of
 from clacad.exporting.formats import registry
 from clacad.exporting.formats.file_kind import FaceFile, FileKind, Reading
-from clacad.exporting.formats.workshop import is_insert, surface_misfit
+from clacad.exporting.formats.workshop import TOOL_POINTS, insert_file, is_insert, surface_misfit
 from clacad.exporting.limits import refuse_no_cell
 from clacad.exporting.roles import Role
 from clacad.formats.maps.sag import structured_faces
@@ -46,7 +46,7 @@ from clacad.light.measure import Send
 from clacad.optics.fit import legendre
 from clacad.sheet.like_cell import named_cell
 from clacad.sheet.representative_cells import central_cell
-from clacad.sheet.shrunk import TURN, growth, insert_window
+from clacad.sheet.shrunk import TURN, growth
 from clacad.sheet.window import Face, Window
 from clacad.storage.errors import BadRequest, ExportError, UnreadableFile
 from clacad.tracing.facets.made_surface import MadeSurface, made_surface
@@ -276,9 +276,8 @@ def _read(
     for body, face, label in named or structured_faces(scaled):
         number = scaled.number_of(face)
         of = FaceFile(scaled, body, face, label, subject.path)
-        if is_insert(kind.word):
-            steel = insert_window(scaled, face, label)
-            of = FaceFile(steel, steel.bodies[0], steel.bodies[0].back, label, subject.path)
+        if is_insert(kind.word) or kind.word == TOOL_POINTS and compensation.cut_as_insert:
+            of = insert_file(of)
         assert kind.reading.points is not None
         points = kind.reading.points(of)
         off = _worst(of, points)

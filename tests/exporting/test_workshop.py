@@ -78,8 +78,53 @@ def test_all_of_it_passes_by_the_light_of_the_part_that_it_makes(design, made) -
     assert sum(bool(states(checks, "file_law_rms")) for checks in found.values()) == 14
 
 
+def test_tool_points_under_moulding_are_those_of_the_insert(design, tmp_path) -> None:
+    """By hand: concave spheres of R/(1 − s), the centre of the nose on spheres of R/(1 − s) − r, all in reach."""
+    told = clacad.export(design, tmp_path, ["tool"], tool_step=0.05, nose=0.2)
+    big, pitch = 2.468143364277402 / 0.994, 0.5 / 0.994
+    for entry in told.files:
+        table = np.concatenate(list(read_tool(told.folder / entry["name"])))
+        u, v = (pitch * ((table[:, k] / pitch + half) % 1.0 - 0.5) for k, half in ((0, 0.0), (1, 0.5)))
+        assert table[:, 2].min() > 0.0
+        assert np.abs(np.linalg.norm([u, v, table[:, 2] - big], axis=0) - big).max() < 1e-12
+        along = np.stack([u, v, table[:, 2] - big], axis=1) / -big
+        assert np.abs(table[:, 3:6] - along).max() < 1e-12
+        assert np.abs(table[:, 6:9] - table[:, :3] - 0.2 * along).max() < 1e-12
+        assert table[:, 9].all()
+        assert entry["share_not_reached"] == 0.0
+
+
+def test_a_nose_in_the_insert_of_lenses_with_land_stays_off_its_walls(tmp_path) -> None:
+    """By hand, on the line through the middle of a pit .45 wide: no centre comes closer to a wall than r."""
+    keys = ['check.process = "moulding"', "process.shrinkage = 0", "lattice.count = [3, 3]", "lattice.seam = 0.05"]
+    told = clacad.export(clacad.load("window-100mm", keys), tmp_path, ["tool"], tool_step=0.01, nose=0.03)
+    table = np.concatenate(list(read_tool(told.folder / told.files[0]["name"])))
+    x = np.abs((table[:, 0] / 0.5 + 0.5) % 1.0 - 0.5) * 0.5
+    line = (np.abs(table[:, 1]) < 0.006) & (np.abs(x - 0.225) > 1e-6)
+    edge = 0.195 * 2.468143364277402 / 2.438143364277402  # the lens is touched with the centre at .225 − .03
+    assert line.sum() > 100
+    assert (table[line, 9] == ((x < edge) | (x > 0.225))[line]).all()
+    assert (table[line & (x > 0.225), 2] > 0.02).all()
+
+
 @pytest.mark.slow
-def test_tool_points_of_both_orders_lie_on_the_same_face(design, tmp_path) -> None:
+def test_several_files_are_judged_together_where_they_are_of_one_export(made, tmp_path, capsys) -> None:
+    names = [one["name"] for one in made.files if one["format"] in ("tool-points", "dose-8")]
+    sets = [word for key in MOULDED for word in ("--set", key)]
+    files = [str(made.folder / name) for name in names]
+    words = ["verify", WINDOW, *sets, "--rays", "1024", "--role", "tooling", "--json", "--files"]
+    assert main([*words, *files]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert {one["subject"] for one in told["checks"] if one["id"] == "file_law_rms"} == set(names)
+    other = tmp_path / "part.stl"
+    other.write_bytes(b"")
+    assert main([*words, files[0], str(other)]) == 2
+    assert "of one export" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_tool_points_of_both_orders_lie_on_the_same_face(tmp_path) -> None:
+    design = clacad.load("window-100mm", ['check.process = "none"', *MOULDED[1:]])
     told = clacad.export(design, tmp_path, ["tool"], tool_step=0.05, nose=0.2, tool_order="spiral")
     entry = told.files[0]
     assert entry["order"] == "spiral"
@@ -96,6 +141,21 @@ def test_tool_points_of_both_orders_lie_on_the_same_face(design, tmp_path) -> No
     share = 1.0 - table[:, 9].mean()
     assert share == pytest.approx(1.0 - (big / (big + 0.2)) ** 2, abs=0.03)
     assert entry["share_not_reached"] == pytest.approx(1.0 - (big / (big + 0.2)) ** 2, abs=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("nose", "verdict"), [(0.025, "pass"), (0.4, "fail")])
+def test_the_verdict_of_tool_points_is_by_what_the_nose_leaves(tmp_path, nose, verdict) -> None:
+    """The points lie on the lens for every nose; of a sphere a nose reaches the share (R/(R + r))² by hand."""
+    keys = ['check.process = "diamond-turning"', f'process.nose = "{nose} mm"', "lattice.count = [4, 3]"]
+    part = clacad.load("window-100mm", keys)
+    told = clacad.export(part, tmp_path, ["tool"], tool_step=0.1)
+    for file in told.files:
+        checks = judged(part, told.folder)[file["name"]]
+        assert states(checks, "shape") == states(checks, "file_law_rms") == ["pass"]
+        assert states(checks, "file_throughput") == [verdict]
+        [share] = [one.value for one in checks if one.id == "file_throughput"]
+        assert share == pytest.approx((2.468143364277402 / (2.468143364277402 + nose)) ** 2, abs=0.012)
 
 
 @pytest.mark.slow

@@ -58,10 +58,15 @@ def light(of: Design, z: np.ndarray, both: bool = False) -> float:
     return law_rms_of_form(window, lit, of.check.field, of.check.field_centre)
 
 
+@cache
+def commanded(name: str) -> np.ndarray:
+    """Command of a design itself: nothing is to be corrected."""
+    return correct(design(name), as_map(perfect(design(name))), z_scale=SURE).heights
+
+
 def parts(of: Design, maker: Maker, rounds: int, instrument: Instrument = GOOD) -> Iterator[np.ndarray]:
     """Parts as made from the design and after each correction."""
-    state = None
-    command = correct(of, as_map(perfect(of)), z_scale=SURE).heights  # nothing to correct: the design itself
+    state, command = None, commanded(of.name)
     for number in range(rounds + 1):
         z = made(of, maker, command)
         yield z

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.exporting.formats.file_kind import FaceFile, FileKind, Misfit, Reading, drawn_cost, map_row
@@ -14,8 +15,6 @@ from clacad.exporting.formats.format import BASE, Forecast, Format, stream_bytes
 from clacad.exporting.roles import AT_POINTS, EXACT_FACES, NO_SURFACE, SIXTEEN_BITS
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from clacad.base.types import Floats
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
@@ -98,6 +97,14 @@ BORDER = 1e-5
 
 INSIDE_NAME = ".insert."
 """Part of the name of every file of an insert."""
+
+
+def insert_file(of: FaceFile) -> FaceFile:
+    """The file of the steel that moulds a face of a sheet; the steel is named after the face."""
+    from clacad.sheet.shrunk import insert_window
+
+    steel = insert_window(of.window, of.face, of.label)
+    return FaceFile(steel, steel.bodies[0], steel.bodies[0].back, of.label, of.path)
 
 
 def is_insert(word: str) -> bool:
@@ -239,12 +246,16 @@ height over the block's that is searched for the cavity."""
 
 
 def _tools(window: Window, asked: Request) -> Iterator[tuple[Body, str, ToolFace]]:
-    """Faces with the tool that cuts them. Raises NotPossible."""
+    """Faces, or the inserts that mould them, with the tool that cuts them. Raises NotPossible."""
     from clacad.formats.maps.sag import structured_faces
     from clacad.formats.maps.tool_path import tool_face
 
     for body, face, label in structured_faces(window):
-        yield body, label, tool_face(window, face, label, asked.nose or 0.0, asked.tool_step, MOST_POINTS)
+        cut = FaceFile(window, body, face, label, Path())
+        if asked.compensation is not None and asked.compensation.cut_as_insert:
+            cut = insert_file(cut)
+        tool = tool_face(cut.window, cut.face, label, asked.nose or 0.0, asked.tool_step, MOST_POINTS)
+        yield body, label, tool
 
 
 def _write_tool(job: Job) -> list[FileRecord]:
@@ -311,8 +322,6 @@ def _tool_misfit(of: FaceFile) -> Misfit:
 
 
 def _calibration(asked: Request, deepest: float) -> Calibration:
-    from pathlib import Path
-
     from clacad.formats.maps.dose import Calibration, read_calibration
 
     if asked.calibration is None:

@@ -73,6 +73,11 @@ class Nose:
         """+1 for a back face, −1 for a front face, which is turned about x."""
         return -float(self.face.side)
 
+    @property
+    def pits(self) -> bool:
+        """Whether the nose sees lenses sunk in the land, as in an insert, not raised above it."""
+        return (self.out < 0.0) != self.face.sunk
+
     @cached_property
     def lattice(self) -> Lattice:
         """Pattern of the cells of the face."""
@@ -86,7 +91,7 @@ class Nose:
     @cached_property
     def land(self) -> float | None:
         """Height of the flat land between lenses; None: there is none."""
-        if self.face.land is None or not self.window.land.seam and (self.out < 0.0 or _covered(self)):
+        if self.face.land is None or not self.window.land.seam and (self.pits or _covered(self)):
             return None
         return self.way * self.out * (self.face.land - self.face.vertex[2])
 
@@ -104,7 +109,8 @@ class Nose:
         z, normal = self.lens(x, y, index)
         if self.land is None:
             return z, normal
-        flat = ~(self.out * (z - self.land) > 0.0) | (self.past(x, y) > 1e-12 * min(self.lattice.pitch))
+        proud = self.land - z if self.pits else z - self.land
+        flat = ~(proud > 0.0) | (self.past(x, y) > 1e-12 * min(self.lattice.pitch))
         return np.where(flat, self.land, z), np.where(flat[:, None], [0.0, 0.0, 1.0], normal)
 
     def past(self, x: Floats, y: Floats) -> Floats:
@@ -174,7 +180,7 @@ class Nose:
         (rows,) = np.nonzero(~(self.past(p, q) <= 0.0))
         x, y, own = x[rows], y[rows], None if index is None else index[rows]
         found[rows] = -np.inf
-        if self.out < 0.0 and self.land is not None:
+        if self.pits and self.land is not None:
             return found  # a pit ends at a wall, whose rim is higher
         for start, end in zip(self.zone, np.roll(self.zone, -1, axis=0), strict=True):
             found[rows] = np.fmax(found[rows], self._on_edge(x, y, own, (start, end)))
@@ -220,7 +226,7 @@ def over_land(nose: Nose, x: Floats, y: Floats) -> Floats:
     """
     if nose.land is None:
         return np.full(np.shape(x), -np.inf)
-    if nose.out > 0.0:
+    if not nose.pits:
         return np.full(np.shape(x), nose.land + nose.nose)
     square = nose.nose**2 - np.maximum(-nose.past(x, y), 0.0) ** 2
     return np.where(square >= 0.0, nose.land + np.sqrt(np.maximum(square, 0.0)), -np.inf)
@@ -246,7 +252,7 @@ class ToolFace(Nose):
         """Depth (n,) below the path of the centre of the nose that touches the face; 0 where it reaches."""
         z, normal = self.surface(x, y, index)
         cx, cy, cz = x + self.nose * normal[:, 0], y + self.nose * normal[:, 1], z + self.nose * normal[:, 2]
-        found = np.zeros(len(x)) if self.land is None else np.maximum(self.land + self.nose - cz, 0.0)
+        found = np.maximum(over_land(self, cx, cy) - cz, 0.0)
         (rows,) = np.nonzero(self.past(cx, cy) > -self.reach)  # else it touches its own lens alone
         if len(rows):
             own = None if index is None else index[rows]
@@ -292,9 +298,9 @@ class ToolFace(Nose):
         heights = []
         for corner in (False, True):
             above = 0.0
-            for ends in (tile, self.zone)[: 1 if self.land is None else 2]:  # at the foot of a step lies land
+            for ends in [tile] if self.land is None else [self.zone] if self.pits else [tile, self.zone]:
                 places = _sampled(self, ends if corner else 0.5 * (ends + np.roll(ends, -1, axis=0)))
-                foot = self.surface(*places)[0] if self.land is None else self.land
+                foot = self.lens(*places)[0] if self.land is None or self.pits else self.land  # of a step
                 above = max(above, float((self.path_height(*places) - self.nose - foot).max()))
             heights.append(above if above > small else 0.0)
         if not self.alike:
@@ -391,7 +397,7 @@ def write_tool(tool: ToolFace, path: Path, scale: float, order: Order, label: st
     left, count, reached = tool.left(), 0, 0
     head = [
         f"clacad tool points of {label}, unit mm, order {order}, nose {tool.nose * scale!r}",
-        "face seen from outside, +z out of the material, z = 0 at the apexes"
+        "seen from outside, +z out of the material, z = 0 at the apexes"
         + (": the front turned by 180 degrees about x" if tool.way < 0.0 else ""),
         "c: centre of the nose = surface + nose n; tip = centre - nose z; reachable 0: it cuts elsewhere",
         f"left at seams {left['seam'] * scale!r}, at corners {left['corner'] * scale!r}, not reached"
