@@ -51,7 +51,9 @@ class Verify(OfDesignAsMade):
         (),
     )
     overwrite: bool = declared("overwrite")
-    also: tuple[Path, ...] = option("[FILE]...", "More files, or a second map of the part, after --files.", ())
+    also: tuple[Path, ...] = option(
+        "[FILE]...", "More files, or a second map of the part, after --files.", ()
+    )
     side: tuple[str, ...] = option("--side FILE=front|back", "Side that a map shows; else by its name.", ())
     z_scale: str | None = option("--z-scale TEXT", "Scale of a map's heights, e.g. '1.0063 +- 1e-4'.")
     lateral_scale: str | None = option("--lateral-scale TEXT", "Lateral scale of a map.")

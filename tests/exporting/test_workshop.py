@@ -96,7 +96,12 @@ def test_tool_points_under_moulding_are_those_of_the_insert(design, tmp_path) ->
 
 def test_a_nose_in_the_insert_of_lenses_with_land_stays_off_its_walls(tmp_path) -> None:
     """By hand, on the line through the middle of a pit .45 wide: no centre comes closer to a wall than r."""
-    keys = ['check.process = "moulding"', "process.shrinkage = 0", "lattice.count = [3, 3]", "lattice.seam = 0.05"]
+    keys = [
+        'check.process = "moulding"',
+        "process.shrinkage = 0",
+        "lattice.count = [3, 3]",
+        "lattice.seam = 0.05",
+    ]
     told = clacad.export(clacad.load("window-100mm", keys), tmp_path, ["tool"], tool_step=0.01, nose=0.03)
     table = np.concatenate(list(read_tool(told.folder / told.files[0]["name"])))
     x = np.abs((table[:, 0] / 0.5 + 0.5) % 1.0 - 0.5) * 0.5
