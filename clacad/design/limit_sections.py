@@ -268,3 +268,6 @@ class ProcessSpec:
         _SHRINKS, "shrinkage of the thickness between two faces, where a base keeps it (else that along z)"
     )
     sink: float | None = key(_LIMIT_LENGTH, "depth by which the middle of a moulded lenslet sinks")
+    command: str | None = key(
+        Text("the name of a folder", 500), "folder of `clacad correct`: its forms are added in tooling"
+    )

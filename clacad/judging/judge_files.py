@@ -266,7 +266,9 @@ def _judge_one(
         note, part = "judged by the numbers in it", subject.cell is not None and not whole.uniform
         one = FileReport(subject, f"{note}, of one cell" if part else note, present=() if part else None)
         if subject.role is Role.TOOLING:  # tables next to tooling: no light goes through them
-            one = replace(one, role=Role.OTHER)
+            from clacad.exporting.compensation import compensation_of
+
+            one, whole = replace(one, role=Role.OTHER), compensation_of(asked.design).window(whole)
         return judge_map(asked, whole, subject, kind), one
     check = READABLE.not_run(
         f"{subject.path.suffix or 'this'} is no format that can be judged", subject=subject.name

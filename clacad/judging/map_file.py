@@ -412,7 +412,7 @@ def _made(
     """
     process = replace(process_of(design), gamma=1.0, curve=None)
     process = replace(process, name="moulding") if insert else process
-    scaled = compensation.window(window)
+    scaled = compensation.plain.window(window)  # forms of a correction make the process that of the model
     return made_surface(scaled, scaled.faces[window.number_of(face)], process, None)
 
 

@@ -25,6 +25,7 @@ from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.config.mistakes import DesignError
 from clacad.design.process import process_of
+from clacad.exporting.compensation import form_name, form_rows
 from clacad.formats.maps.dose import Calibration, read_calibration
 from clacad.making.texture import level_step, step_rms
 from clacad.measuring.find_lattice import Found
@@ -35,7 +36,7 @@ from clacad.measuring.measure import Maps, fitted_sides
 from clacad.measuring.measured import NUMBERS
 from clacad.measuring.read_map import MeasuredMap, read_map
 from clacad.measuring.scales import HEIGHTS, Scale, Stated
-from clacad.measuring.sides import AXES, OTHER, Name, Side, sides_of
+from clacad.measuring.sides import AXES, OTHER, Name, ShownCells, Side, sides_of
 from clacad.optics.fit import legendre, nearest_polynomial
 from clacad.prescription.bodies import face_spec, given_design
 from clacad.prescription.prescribe import prescribe
@@ -58,6 +59,9 @@ TERMS = 45
 
 FARTHEST = 1.5
 """Largest correction at the rim, over its range inside the measured aperture."""
+
+OUTSIDE = 0.1
+"""Weight of heights outside the measured aperture where polynomials are fitted to a command."""
 
 FIRST = 3
 """Number of polynomials of degree 0 and 1: height and tilt of a lenslet, which a map does not show."""
@@ -166,6 +170,19 @@ class Correction:
         heights = side.heights(np.array(cell), *places(side)).reshape(NODES, NODES) + self.added()
         return heights + _added(self.own[cell], side) if cell in self.own else heights
 
+    def _form_rows(self) -> Floats:
+        """Forms that the command adds to the faces of the sheet, as `process.command` reads them."""
+        side, half = self._side, 0.5 * _box(self._side)
+        u, v = places(side)
+        added = self.added().ravel()
+        held = np.isfinite(added)
+        near = np.where(side.aperture.holds(u[held], v[held]), 1.0, OUTSIDE)
+        base = legendre(u[held] / half[0], v[held] / half[1], TERMS)
+        fit = -side.face.side * np.linalg.pinv(base * near[:, None]) * near
+        own = [[*cell, *(fit @ _added(form, side).ravel()[held])] for cell, form in sorted(self.own.items())]
+        count = self._window.lattice.count
+        return form_rows(half * side.signs, count, fit @ added[held], np.array(own))
+
     def next_design(self, others: Sequence[Correction] = ()) -> tuple[Design, Floats]:
         """Design whose faces are the commands, and what they leave of this side's, (128, 128) lengths.
 
@@ -236,7 +253,8 @@ class Correction:
         Next to it the form that is added to the design of every cell and, where a design file can hold the
         commands of all corrected sides, `next.toml` and what its face leaves of the command. Of differing
         lenslets the own form of each measured one: a row i, j, coefficients of `cells-front.npy`, and its
-        command at the same place of `command-cells-front.npy`. For greyscale
+        command at the same place of `command-cells-front.npy`. `form-front.npy` holds the added forms for
+        `process.command`. For greyscale
         also the levels of its dose, a PNG whose first row has the largest y. Files of an earlier round of the
         same side are replaced.
 
@@ -255,6 +273,7 @@ class Correction:
             cells = sorted(self.own)
             contents[_of_cells(self.side)] = _npy(np.array([[*cell, *self.own[cell]] for cell in cells]))
             maps[f"command-cells-{self.side}.npy"] = np.array([self._in_cell(c) for c in cells[:MOST_CELLS]])
+        contents[form_name(self.side)] = _npy(self._form_rows())
         for name, heights in maps.items():
             contents[name] = _npy(heights)
             contents[f"{name}.json"] = json.dumps(scales, indent=1, sort_keys=True) + "\n"
@@ -333,6 +352,7 @@ def correct(
     if side not in ("front", "back"):
         raise BadRequest(f"side {printable(str(side))[:40]}: it is front or back")
     name = cast(Name, side)
+    design = replace(design, process=replace(design.process, command=None))
     measured, cell = measured if isinstance(measured, tuple) else (measured, None)
     window = prescribe(design)
     of = _side(window, name, design.unit_m)
@@ -503,7 +523,7 @@ def _deviation(
     if not isinstance(measured, MeasuredMap):
         path = Path(measured)
         if path.name.startswith("deviation") and path.suffix == ".npy":
-            return *_of_deviation_map(design, side, path), None
+            return _of_deviation_map(design, side, path)
     found, heights, _ = fitted_sides(
         design, window, maps.of(side.name, measured if maps.cell is None else (measured, maps.cell))
     )
@@ -514,9 +534,9 @@ def _deviation(
     held = number >= 0
     u, v, z = u[held], v[held], z[held]
     facts = {"file": one.measured.name, "law_rms": rms if isfinite(rms) else None}
-    number, cells = number[held], one.lit.cells
-    shown = None if side.alike or "assumed" in cells.known else cells.of(one.lenslets.index)[number]
-    return (u, v, z - _wished(one, number, u, v), max(one.measured.pixel)), heights, facts, shown
+    number = number[held]
+    points = u, v, z - _wished(one, number, u, v), max(one.measured.pixel)
+    return points, heights, facts, _shown(one.lit.cells, one.lenslets.index[number])
 
 
 def _wished(of: Surface, number: Ints, u: Floats, v: Floats) -> Floats:
@@ -532,7 +552,9 @@ def _wished(of: Surface, number: Ints, u: Floats, v: Floats) -> Floats:
     return found
 
 
-def _of_deviation_map(design: Design, side: Side, path: Path) -> tuple[Points, Scale, dict[str, Any]]:
+def _of_deviation_map(
+    design: Design, side: Side, path: Path
+) -> tuple[Points, Scale, dict[str, Any], Ints | None]:
     """Deviations of a map that `verify -o` wrote, by the lattice in the measured.json next to it."""
     numbers = _read_json(path.with_name(NUMBERS))
     try:
@@ -543,6 +565,7 @@ def _of_deviation_map(design: Design, side: Side, path: Path) -> tuple[Points, S
         level, plane = np.array(of["level"]), np.array(of["plane"])
         scale = Scale(numbers["z_scale"], 2.0 * numbers["u_z_scale"], numbers["z_scale_origin"])
         facts = {"file": path.name, "law_rms": numbers["law_rms"]}
+        (i, j), (of_i, of_j) = map(int, of["first_cell"]), of["first_cell_known_by"]
     except (KeyError, TypeError, ValueError) as error:
         raise BadRequest(
             f"{path.name}: {NUMBERS} next to it holds no lattice of the {side.name}; measure again with"
@@ -551,14 +574,24 @@ def _of_deviation_map(design: Design, side: Side, path: Path) -> tuple[Points, S
     measured = read_map(path).scaled(design.unit_m, design.unit_m)
     lattice = Found(origin, np.column_stack(steps))
     x, y, off = measured.points
-    u, v = _levelled(lattice, level, plane, side, (x, y, off))
-    return (u, v, off, max(measured.pixel)), scale, facts
+    u, v, step = _levelled(lattice, level, plane, side, (x, y, off))
+    cells = ShownCells(side, (i, j), (of_i, of_j))
+    return (u, v, off, max(measured.pixel)), scale, facts, _shown(cells, step)
+
+
+def _shown(cells: ShownCells, step: Ints) -> Ints | None:
+    """Cells (n, 2) of the sheet at steps (n, 2) of a map's lattice; None where they do not matter, or it does
+    not show which they are.
+    """
+    return None if cells.side.alike or "assumed" in cells.known else cells.of(step)
 
 
 def _levelled(
     lattice: Found, level: Floats, plane: Floats, side: Side, points: tuple[Floats, Floats, Floats]
-) -> tuple[Floats, Floats]:
-    """Places in their cells of points of a map with the deviations there; the map may be tilted."""
+) -> tuple[Floats, Floats, Ints]:
+    """Places in their cells of points of a map with the deviations there, and steps (n, 2) of the map's lattice
+    to these cells; the map may be tilted.
+    """
     x, y, off = points
     along = lattice.basis[:, 0] / np.hypot(*lattice.basis[:, 0])
     axes = np.array([[along[0], -along[1]], [along[1], along[0]]])
@@ -569,7 +602,7 @@ def _levelled(
         height = plane[0] + plane[1:] @ place + side.outward(u, v) + off
         seen = level.T @ np.vstack([place, height])
         place = place + np.stack([x, y]) - seen[:2]
-    return u, v
+    return u, v, cell.T
 
 
 def _read_json(path: Path) -> dict[str, Any]:

@@ -284,6 +284,7 @@ class VertexChange:
             (0.0 - a, b),
             None if self.size is None else self.size[:, ::-1],
             (0.0 - c, d),
+            lift=None if self.lift is None else -self.lift[:, ::-1],
             aspect=None if self.aspect is None else self.aspect[:, ::-1],
             rotation=None if self.rotation is None else self.rotation[:, ::-1] * _ABOUT_X,
         )
@@ -314,6 +315,48 @@ class VertexChange:
         Raises ValueError: The table has fewer cells.
         """
         return replace(self, **_cut_tables(self, lattice, count))
+
+
+@dataclass(frozen=True, eq=False)
+class LensForm:
+    """Heights that the lenses of a face have besides its surface: Legendre polynomials over a cell.
+
+    half : (2,) lengths. Half the cell along x and y; negative where the polynomials run the other way.
+    shared : (k,) lengths. Coefficients along z of every lens.
+    own : (n1, n2, k) array or None. Coefficients that a cell's lens has besides; indexed as tables of
+        `VertexChange`.
+    """
+
+    half: Floats
+    shared: Floats
+    own: Floats | None = None
+
+    def __call__(self, lattice: Lattice, index: Ints | None, x: Floats, y: Floats) -> Floats:
+        """Heights (...) over points (...) of the cells `index` (..., 2); None: of the shared form."""
+        from clacad.optics.fit import legendre
+
+        x, y = np.broadcast_arrays(x, y)
+        base = legendre(x.ravel() / self.half[0], y.ravel() / self.half[1], len(self.shared))
+        found = base @ self.shared
+        if self.own is not None and index is not None:
+            own = tabled(self.own, lattice, np.broadcast_to(index, (*x.shape, 2)).reshape(-1, 2), 0.0)
+            found += (base * own).sum(axis=1)
+        return np.asarray(found.reshape(x.shape))
+
+    def in_cell(self, lattice: Lattice, index: Ints) -> LensForm:
+        """Form of the lens of one cell."""
+        if self.own is None:
+            return self
+        return LensForm(self.half, self.shared + tabled(self.own, lattice, index, 0.0))
+
+    def grown(self, x: float, y: float, z: float) -> LensForm:
+        """Form of a sheet larger along x, y and z; −1 along y and z: turned by 180 degrees about x."""
+        own = None if self.own is None else z * (self.own if y > 0.0 else self.own[:, ::-1])
+        return LensForm(self.half * np.array([x, y]), self.shared * z, own)
+
+    def of_middle(self, lattice: Lattice, count: tuple[int, int]) -> LensForm:
+        """Form of `count` cells in the centre of the lattice."""
+        return self if self.own is None else replace(self, own=of_middle(self.own, count, lattice))
 
 
 def _cut_tables(of: VertexChange | CellLaws, lattice: Lattice, count: tuple[int, int]) -> dict[str, Any]:

@@ -134,6 +134,7 @@ def _grown(face: Face, size: Three, apart: float) -> Face:
         vertex=(x * kx, y * ky, z * apart),
         land=None if land is None else z * apart + (land - z) * kz,
         change=None if change is None else _grown_change(change, size),
+        form=None if face.form is None else face.form.grown(*size),
     )
 
 
@@ -296,6 +297,7 @@ def _turned(face: Face) -> Face:
         rotation=rotation,
         land=None if face.land is None else 0.0 - face.land,
         change=None if face.change is None else face.change.turned,
+        form=None if face.form is None else face.form.grown(1.0, -1.0, -1.0),
     )
 
 

@@ -38,6 +38,7 @@ from clacad.optics.surface.sag_and_normal import (
 from clacad.sheet.cell_places import (
     CellLaws,
     CellPlacement,
+    LensForm,
     LensPlaces,
     PlacedArrays,
     VertexChange,
@@ -85,6 +86,8 @@ class Face:
         Displacement of each cell's lens from `vertex`, and its scale factor; None: all lenses are alike.
     sunk : bool
         Whether the land protrudes from the lens, not the lens from it: the second face of a joint.
+    form : LensForm or None
+        What the lenses have besides the surface, in files of heights that command a machine.
     """
 
     surface: Surface
@@ -94,6 +97,7 @@ class Face:
     land: float | None = None
     change: VertexChange | None = None
     sunk: bool = False
+    form: LensForm | None = None
 
     @property
     def untilted(self) -> bool:
@@ -469,6 +473,8 @@ class Window(PlacedArrays):
 
     def in_cell(self, face: Face, index: Ints) -> Face:
         """Face of the uniform equivalent of the cell at `index` (2,)."""
+        if face.form is not None:
+            face = replace(face, form=face.form.in_cell(self.lattice, index))
         if face.change is None:
             return face
         places = self.lenses(face, index)
@@ -702,6 +708,8 @@ def face_height(window: Window, face: Face, x: Floats, y: Floats, index: Ints | 
 def _in_zone(window: Window, face: Face, x: Floats, y: Floats, index: Ints | None) -> Floats:
     places = window.lenses(face, index)
     lens = heights_of_lenses(face, places, x, y)
+    if face.form is not None:
+        lens = lens + face.form(window.lattice, index, x, y)
     if window.land.seam > 0.0:
         zone = in_optical_tile(window, np.asarray(x), np.asarray(y), face.array or 0)
         lens = np.where(zone, lens, np.nan)

@@ -130,6 +130,7 @@ class Format:
         commonly exported in; `chosen` is the mesh that an export would write, None without a design.
     optical : Whether the light of the law goes through a part made from its files.
     tooling : Whether its files are not the part but make it: `Role.TOOLING`.
+    commands : Whether its files of heights can hold the forms of a correction (process.command).
     of_cell : Whether it describes one cell; of a non-uniform sheet the cell that the request names.
     turned_arrays, many_sizes : Whether these may have a rotated array, and lenses of many sizes.
     repeats : Whether it stores one cell and its places if the sheet is `tessellations.instanceable`.
@@ -152,6 +153,7 @@ class Format:
     at_a_glance: Callable[[Window, RoughSheet, ChosenMesh | None], Forecast] | None = None
     optical: bool = True
     tooling: bool = False
+    commands: bool = False
     of_cell: bool = False
     turned_arrays: bool = True
     many_sizes: bool = True

@@ -226,6 +226,7 @@ FORMATS = (
         partial(_maps, TIFF, {TIFF32: "f32.tiff", TIFF16: "u16.tiff"}),
         _forecast_tiff,
         drawn_cost(TIFF_SECONDS),
+        commands=True,
         stored=(ABOVE_FACE, SIXTEEN_BITS),
     ),
     Format(
@@ -235,6 +236,7 @@ FORMATS = (
         partial(_maps, PNG, {PNG16: "u16.png"}),
         _forecast_png,
         drawn_cost(PNG_SECONDS),
+        commands=True,
         stored=(SIXTEEN_BITS,),
     ),
     Format(

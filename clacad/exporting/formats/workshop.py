@@ -74,8 +74,9 @@ def _insert_files(job: Job, steel: Window, label: str) -> Iterator[FileRecord]:
     body, stem = steel.bodies[0], f"{job.stem}.{label}.insert"
     own = replace(job, window=steel, stem=stem, tessellation=Tessellation(steel, _insert_quads(steel)))
     kept = (label.partition("-")[0],)
-    yield replace(step_record(own, INSERT_STEP), bodies=kept)
-    yield replace(write_one(own, f"{stem}.stl", steel), format=INSERT_STL, bodies=kept)
+    if body.back.form is None:  # heights alone hold the forms of a correction
+        yield replace(step_record(own, INSERT_STEP), bodies=kept)
+        yield replace(write_one(own, f"{stem}.stl", steel), format=INSERT_STL, bodies=kept)
     map_ = height_map(steel, body, body.back, label, samples_per_cell(steel, None))
     path = job.stage.path(f"{stem}.f32.tiff")
     write_map(map_, path, TIFF32, job.scale)
@@ -450,6 +451,7 @@ FORMATS = (
         lambda sheet, _quads, _asked: INSERT_SECONDS * sheet.lenses + 5e-6 * 1500 * sheet.cells,
         _require_insert,
         tooling=True,
+        commands=True,
         turned_arrays=True,
         kernel=True,
         stored=(EXACT_FACES,),
@@ -463,6 +465,7 @@ FORMATS = (
         drawn_cost(TOOL_SECONDS),
         _require_tool,
         tooling=True,
+        commands=True,
         smaller="--tool-step, or --cells 50x50",
         stored=(AT_POINTS,),
     ),
@@ -475,6 +478,7 @@ FORMATS = (
         drawn_cost(DOSE_SECONDS),
         _require_dose,
         tooling=True,
+        commands=True,
         stored=(SIXTEEN_BITS,),
     ),
     Format(

@@ -46,6 +46,9 @@ of a border, on which the error of the height is the square of that of the place
 DEEP = 1e-9
 """Depth over the pitch from which on a nose cuts into the lens next to it."""
 
+FORM_STEP = 1e-4
+"""Distance over half a cell at which slopes of a form are taken."""
+
 PLACES, SAMPLED = 24, 16
 """Places along a cell, and most cells besides extreme ones, at which it is seen whether a nose reaches."""
 
@@ -102,6 +105,14 @@ class Nose:
         """Heights (n,) and unit normals (n, 3) of lenses, continued beyond their cells."""
         places, way = self.window.lenses(self.face, index), self.way * self.out
         z, normal = lens_height_and_normal(self.face, *places.seen(x, y))
+        if (form := self.face.form) is not None:
+            normal = normal / normal[:, 2:]
+            for k, half in enumerate(form.half):
+                step = FORM_STEP * half * (np.arange(2) == k)
+                ends = [form(self.window.lattice, index, x + w * step[0], y + w * step[1]) for w in (1, -1)]
+                normal[:, k] -= (ends[0] - ends[1]) / (2.0 * step[k])
+            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+            z = z + form(self.window.lattice, index, x, y)
         return way * (places.raised(z) - self.face.vertex[2]), normal * np.array([way, way, 1.0])
 
     def surface(self, x: Floats, y: Floats, index: Ints | None = None) -> tuple[Floats, Floats]:
@@ -183,30 +194,8 @@ class Nose:
         if self.pits and self.land is not None:
             return found  # a pit ends at a wall, whose rim is higher
         for start, end in zip(self.zone, np.roll(self.zone, -1, axis=0), strict=True):
-            found[rows] = np.fmax(found[rows], self._on_edge(x, y, own, (start, end)))
+            found[rows] = np.fmax(found[rows], _on_edge(self, x, y, own, (start, end)))
         return found
-
-    def _on_edge(self, x: Floats, y: Floats, index: Ints | None, ends: tuple[Floats, Floats]) -> Floats:
-        """Height (n,) of the centre of the nose that touches a border of lenses; −infinite out of its reach.
-
-        Height along the border plus a circle is concave: its slope is bisected.
-        """
-        start, length = ends[0], float(np.linalg.norm(ends[1] - ends[0]))
-        ex, ey = (ends[1] - start) / length
-        middle = (x - start[0]) * ex + (y - start[1]) * ey
-        square = self.nose**2 - ((y - start[1]) * ex - (x - start[0]) * ey) ** 2
-        reach = np.sqrt(np.maximum(square, 0.0))
-        low, high = (np.clip(middle + way * reach, 0.0, length) for way in (-1.0, 1.0))
-        for _ in range(HALVINGS):
-            t = 0.5 * (low + high)
-            _, normal = self.lens(start[0] + t * ex, start[1] + t * ey, index)
-            across, ball = t - middle, np.sqrt(np.maximum(reach**2 - (t - middle) ** 2, 0.0))
-            up = -(normal[:, 0] * ex + normal[:, 1] * ey) / normal[:, 2] * ball > across
-            low, high = np.where(up, t, low), np.where(up, high, t)
-        t = 0.5 * (low + high)
-        z, _ = self.lens(start[0] + t * ex, start[1] + t * ey, index)
-        there = z + np.sqrt(np.maximum(reach**2 - (t - middle) ** 2, 0.0))
-        return np.where((square > 0.0) & (np.abs(t - middle) <= reach), there, -np.inf)
 
 
 def _covered(nose: Nose) -> bool:
@@ -217,6 +206,29 @@ def _covered(nose: Nose) -> bool:
     edge = np.concatenate([a + share * (b - a) for a, b in zip(nose.zone, np.roll(nose.zone, -1, axis=0))])
     land = nose.way * ((nose.face.land or 0.0) - nose.face.vertex[2])
     return bool((nose.lens(edge[:, 0], edge[:, 1])[0] > land).all())
+
+
+def _on_edge(nose: Nose, x: Floats, y: Floats, index: Ints | None, ends: tuple[Floats, Floats]) -> Floats:
+    """Height (n,) of the centre of the nose that touches a border of lenses; −infinite out of its reach.
+
+    Height along the border plus a circle is concave: its slope is bisected.
+    """
+    start, length = ends[0], float(np.linalg.norm(ends[1] - ends[0]))
+    ex, ey = (ends[1] - start) / length
+    middle = (x - start[0]) * ex + (y - start[1]) * ey
+    square = nose.nose**2 - ((y - start[1]) * ex - (x - start[0]) * ey) ** 2
+    reach = np.sqrt(np.maximum(square, 0.0))
+    low, high = (np.clip(middle + way * reach, 0.0, length) for way in (-1.0, 1.0))
+    for _ in range(HALVINGS):
+        t = 0.5 * (low + high)
+        _, normal = nose.lens(start[0] + t * ex, start[1] + t * ey, index)
+        across, ball = t - middle, np.sqrt(np.maximum(reach**2 - (t - middle) ** 2, 0.0))
+        up = -(normal[:, 0] * ex + normal[:, 1] * ey) / normal[:, 2] * ball > across
+        low, high = np.where(up, t, low), np.where(up, high, t)
+    t = 0.5 * (low + high)
+    z, _ = nose.lens(start[0] + t * ex, start[1] + t * ey, index)
+    there = z + np.sqrt(np.maximum(reach**2 - (t - middle) ** 2, 0.0))
+    return np.where((square > 0.0) & (np.abs(t - middle) <= reach), there, -np.inf)
 
 
 def over_land(nose: Nose, x: Floats, y: Floats) -> Floats:
@@ -245,7 +257,7 @@ class ToolFace(Nose):
     def alike(self) -> bool:
         """Whether the lenses are upright, at the middle of identical cells, and meet without land."""
         off = max(abs(self.face.vertex[0]), abs(self.face.vertex[1]))
-        plain = self.window.uniform and self.face.untilted and self.land is None
+        plain = self.window.uniform and self.face.untilted and self.land is None and self.face.form is None
         return plain and off <= 1e-9 * min(self.lattice.pitch)
 
     def below(self, x: Floats, y: Floats, index: Ints | None) -> Floats:
