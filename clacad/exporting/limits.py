@@ -255,8 +255,8 @@ def refuse_other_cells(window: Window, word: str) -> None:
     """Refuse a format that cannot hold the cells of a non-uniform sheet. Raises CellsDiffer."""
     one = format_of(word)
     if any(face.form for face in window.faces) and not one.commands:
-        held = ", ".join(other.word for other in formats() if other.commands)
-        raise NotPossible(f"format {word}: forms of a correction (process.command) are held by: {held}")
+        words = ", ".join(other.word for other in formats() if other.commands)
+        raise NotPossible(f"format {word}: forms of a correction (process.command) are held by: {words}")
     if not one.holds(window):
         from clacad.sheet.need_window import need_equal_cells
         from clacad.sheet.representative_cells import central_cell
