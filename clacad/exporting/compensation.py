@@ -1,4 +1,4 @@
-"""What files are changed by so that the process of a design makes the part: shrinkage, sink and corrections."""
+"""What files are changed by so that a process makes the part: shrinkage, sink and corrections."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.design.process import Process, process_of
-from clacad.sheet.cell_places import LensForm, of_middle, places_in_rows
+from clacad.sheet.cell_places import ALONG, LensForm, of_middle, places_in_rows
 from clacad.sheet.shrunk import bent_window, grown_window, growth
 from clacad.sheet.window import changed_faces
 from clacad.storage.errors import BadRequest
@@ -40,7 +40,7 @@ class Compensation:
 
     @property
     def plain(self) -> Compensation:
-        """The same without the forms of corrections: what makes the part where the process is as it is known."""
+        """The same without the forms of corrections."""
         return replace(self, command=(None, None))
 
     def window(self, window: Window) -> Window:
@@ -77,8 +77,8 @@ HEAD, TERMS = 4, 45
 
 
 def form_rows(half: Floats, count: Sequence[int], shared: Floats, own: Floats) -> Floats:
-    """Rows (1 + m, 49) of the forms of a face: half the cell (2,), cells of the sheet (2,), coefficients (45,)
-    of all lenses along z; then cell i, j, two zeros, and coefficients that its lens has besides, (m, 47).
+    """Rows (1 + m, 49) of the forms of a face: half the cell (2,), cells of the sheet (2,),
+    coefficients (45,) of all lenses along z; then cell i, j, two zeros, and coefficients that its lens has besides, (m, 47).
     """
     first = np.array([[*half, *count, *shared]])
     return np.vstack([first, np.insert(own.reshape(-1, 2 + TERMS), [2, 2], 0.0, axis=1)])
@@ -91,11 +91,18 @@ def form_name(side: str) -> str:
 
 def _with_form(window: Window, face: Face, rows: Floats) -> Window:
     """The window with a face whose lenses have forms; cells of the window are the central ones."""
-    (half, count), shared, own = (rows[0, :2], rows[0, 2:HEAD].astype(int)), rows[0, HEAD:], None
+    pairs = [(i, degree - i) for degree in range(ALONG) for i in range(degree + 1)]  # as in `legendre`
+    (i, j), products = zip(*pairs), np.zeros((len(rows), ALONG, ALONG))
+    products[:, i, j] = rows[:, HEAD:]
+    (half, count), (shared, *others) = (
+        (rows[0, :2], rows[0, 2:HEAD].astype(int)),
+        products.reshape(-1, ALONG**2),
+    )
+    own = None
     if len(rows) > 1:
         cells = rows[1:, :2].astype(int)
-        table = np.zeros((*count, TERMS))
-        table[places_in_rows(window.lattice, cells), cells[:, 1]] = rows[1:, HEAD:]
+        table = np.zeros((*count, ALONG**2))
+        table[places_in_rows(window.lattice, cells), cells[:, 1]] = others
         own = of_middle(table, window.lattice.count, window.lattice)
     form = LensForm(half, shared, own)
     bodies = changed_faces(window.bodies, lambda one: replace(one, form=form) if one is face else one)
@@ -113,7 +120,7 @@ def _read_forms(folder: Path) -> tuple[Floats | None, Floats | None]:
                 rows.ndim != 2 or rows.shape[1] != HEAD + TERMS or not np.isfinite(rows).all()
             ):
                 raise ValueError("it holds no rows of coefficients")
-        except (ValueError, OSError) as error:
+        except (ValueError, OSError, EOFError) as error:
             raise BadRequest(f"process.command: {path.name} cannot be read: {str(error)[:80]}") from error
         found.append(rows)
     if all(rows is None for rows in found):

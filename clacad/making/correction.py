@@ -589,8 +589,8 @@ def _shown(cells: ShownCells, step: Ints) -> Ints | None:
 def _levelled(
     lattice: Found, level: Floats, plane: Floats, side: Side, points: tuple[Floats, Floats, Floats]
 ) -> tuple[Floats, Floats, Ints]:
-    """Places in their cells of points of a map with the deviations there, and steps (n, 2) of the map's lattice
-    to these cells; the map may be tilted.
+    """Places in their cells of points of a map with the deviations there, and steps (n, 2) of the
+    map's lattice to these cells; the map may be tilted.
     """
     x, y, off = points
     along = lattice.basis[:, 0] / np.hypot(*lattice.basis[:, 0])
@@ -648,7 +648,7 @@ def _previous(
         heights = np.load(Path(previous) / command, allow_pickle=False)
         if heights.shape != (NODES, NODES) or heights.dtype != np.float64:
             raise ValueError(f"{command} holds other heights")
-    except (KeyError, TypeError, ValueError, OSError) as error:
+    except (KeyError, TypeError, ValueError, OSError, EOFError) as error:
         raise BadRequest(f"{state} is no state of a correction: {printable(str(error))[:80]}") from error
     if known[:2] != (design.sha256, name):
         raise BadRequest(
@@ -670,7 +670,7 @@ def _own_of(folder: Path, name: Name) -> dict[tuple[int, int], Floats]:
         table = np.load(path, allow_pickle=False)
         if table.ndim != 2 or table.shape[1] != 2 + TERMS or not np.isfinite(table).all():
             raise ValueError("it holds no rows of a cell and its coefficients")
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, EOFError) as error:
         raise BadRequest(f"{path.name} is no state of a correction: {printable(str(error))[:80]}") from error
     return {(int(i), int(j)): row for (i, j), row in zip(table[:, :2], table[:, 2:], strict=True)}
 

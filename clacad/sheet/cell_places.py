@@ -317,13 +317,20 @@ class VertexChange:
         return replace(self, **_cut_tables(self, lattice, count))
 
 
+ALONG = 9
+"""Legendre polynomials along each axis of a form."""
+
+SLOPES = np.pad(np.polynomial.legendre.legder(np.eye(ALONG)), ((0, 1), (0, 0)))
+"""Coefficients (9, 9) of the slopes of the polynomials, a column each."""
+
+
 @dataclass(frozen=True, eq=False)
 class LensForm:
-    """Heights that the lenses of a face have besides its surface: Legendre polynomials over a cell.
+    """Heights of the lenses of a face besides its surface: products of Legendre polynomials over a cell.
 
     half : (2,) lengths. Half the cell along x and y; negative where the polynomials run the other way.
-    shared : (k,) lengths. Coefficients along z of every lens.
-    own : (n1, n2, k) array or None. Coefficients that a cell's lens has besides; indexed as tables of
+    shared : (81,) lengths. Coefficients along z of every lens, degrees 0 to 8 along x times 0 to 8 along y.
+    own : (n1, n2, 81) array or None. Coefficients that a cell's lens has besides; indexed as tables of
         `VertexChange`.
     """
 
@@ -333,15 +340,24 @@ class LensForm:
 
     def __call__(self, lattice: Lattice, index: Ints | None, x: Floats, y: Floats) -> Floats:
         """Heights (...) over points (...) of the cells `index` (..., 2); None: of the shared form."""
-        from clacad.optics.fit import legendre
-
         x, y = np.broadcast_arrays(x, y)
-        base = legendre(x.ravel() / self.half[0], y.ravel() / self.half[1], len(self.shared))
-        found = base @ self.shared
+        index = None if index is None else np.broadcast_to(index, (*x.shape, 2)).reshape(-1, 2)
+        return np.asarray(self.with_slopes(lattice, index, x.ravel(), y.ravel())[0].reshape(x.shape))
+
+    def with_slopes(
+        self, lattice: Lattice, index: Ints | None, x: Floats, y: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Heights (n,) over points (n,) of the cells `index` (n, 2), and slopes along x and y."""
+        legvander = np.polynomial.legendre.legvander
+        of_x, of_y = legvander(x / self.half[0], ALONG - 1), legvander(y / self.half[1], ALONG - 1)
+        weights = self.shared[None]
         if self.own is not None and index is not None:
-            own = tabled(self.own, lattice, np.broadcast_to(index, (*x.shape, 2)).reshape(-1, 2), 0.0)
-            found += (base * own).sum(axis=1)
-        return np.asarray(found.reshape(x.shape))
+            weights = weights + tabled(self.own, lattice, index, 0.0)
+        weights = weights.reshape(-1, ALONG, ALONG)
+        z = (of_x[:, None] @ weights)[:, 0]
+        dx = (of_x[:, None] @ (SLOPES @ weights))[:, 0] / self.half[0]
+        dy = z @ SLOPES.T / self.half[1]
+        return (z * of_y).sum(axis=1), (dx * of_y).sum(axis=1), (dy * of_y).sum(axis=1)
 
     def in_cell(self, lattice: Lattice, index: Ints) -> LensForm:
         """Form of the lens of one cell."""

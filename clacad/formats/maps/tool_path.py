@@ -46,9 +46,6 @@ of a border, on which the error of the height is the square of that of the place
 DEEP = 1e-9
 """Depth over the pitch from which on a nose cuts into the lens next to it."""
 
-FORM_STEP = 1e-4
-"""Distance over half a cell at which slopes of a form are taken."""
-
 PLACES, SAMPLED = 24, 16
 """Places along a cell, and most cells besides extreme ones, at which it is seen whether a nose reaches."""
 
@@ -106,13 +103,9 @@ class Nose:
         places, way = self.window.lenses(self.face, index), self.way * self.out
         z, normal = lens_height_and_normal(self.face, *places.seen(x, y))
         if (form := self.face.form) is not None:
-            normal = normal / normal[:, 2:]
-            for k, half in enumerate(form.half):
-                step = FORM_STEP * half * (np.arange(2) == k)
-                ends = [form(self.window.lattice, index, x + w * step[0], y + w * step[1]) for w in (1, -1)]
-                normal[:, k] -= (ends[0] - ends[1]) / (2.0 * step[k])
+            added, *slopes = form.with_slopes(self.window.lattice, index, x, y)
+            z, normal = z + added, normal / normal[:, 2:] - np.stack([*slopes, np.zeros(len(x))], axis=1)
             normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-            z = z + form(self.window.lattice, index, x, y)
         return way * (places.raised(z) - self.face.vertex[2]), normal * np.array([way, way, 1.0])
 
     def surface(self, x: Floats, y: Floats, index: Ints | None = None) -> tuple[Floats, Floats]:
