@@ -328,7 +328,7 @@ def test_tooling_holds_the_command_of_each_cell_and_is_judged_by_the_part_that_i
     told = clacad.export(commanded, tmp_path / "out", ["tiff"], compensate=True, cells=(6, 6))
     name = "window-100mm.sheet-back.f32.tiff"
     scales = json.loads((told.folder / "window-100mm.tiff.json").read_text(encoding="utf-8"))
-    [scale] = [one for one in scales["faces"] if one["face"] == "sheet-back"]
+    scale = scales["faces"]["sheet-back"]
     heights = np.array(Image.open(told.folder / name), dtype=float)[::-1]
     row, column = (one.ravel() for one in np.indices(heights.shape))
     at = [
