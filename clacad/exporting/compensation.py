@@ -78,7 +78,8 @@ HEAD, TERMS = 4, 45
 
 def form_rows(half: Floats, count: Sequence[int], shared: Floats, own: Floats) -> Floats:
     """Rows (1 + m, 49) of the forms of a face: half the cell (2,), cells of the sheet (2,),
-    coefficients (45,) of all lenses along z; then cell i, j, two zeros, and coefficients that its lens has besides, (m, 47).
+    coefficients (45,) of all lenses along z; then cell i, j, two zeros, and the
+    coefficients that its lens has besides, from `own` (m, 47).
     """
     first = np.array([[*half, *count, *shared]])
     return np.vstack([first, np.insert(own.reshape(-1, 2 + TERMS), [2, 2], 0.0, axis=1)])

@@ -370,37 +370,19 @@ def _made_facets(
     face: Face, of: FaceFile, facets: Floats, cell: tuple[int, int], compensation: Compensation
 ) -> Floats:
     """Facets (t, 3, 3) of the part over a cell, cell frame, that those of an insert mould."""
-    turned = face.side < 0
-    middle, own, half = _file_cell(of, cell, turned)
-    local = facets - np.array([*middle, own.vertex[2]])
-    past = of.window.lattice_of(of.face.array or 0).past_borders(*local[..., :2].mean(axis=1).T)
-    local = local[(past <= 0.0).all(axis=0)]
+    turned, grow = face.side < 0, np.array(growth(compensation.shrinkage))
+    middle, lattice = _cell_of_file(of, cell, turned), of.window.lattice_of(of.face.array or 0)
+    index, _, _ = of.window.locate(of.face.array or 0, middle[:1], middle[1:])
+    local = facets - np.array([*middle, of.window.in_cell(of.face, index[0]).vertex[2]])
+    local = local[(lattice.past_borders(*local[..., :2].mean(axis=1).T) <= 0.0).all(axis=0)]
     x, y, height = np.moveaxis(local, 2, 0)
-    points = _shrunk(face, compensation, half, (x, y, -height), turned)
+    half = np.abs(lattice.tile()).max(axis=0)
+    sunk = compensation.sink * (
+        1.0 - (1.0 - (x / half[0]) ** 2) * (1.0 - (y / half[1]) ** 2)
+    )  # from the apex
+    z = face.vertex[2] - face.side * (sunk - height) / grow[2]
+    points = np.stack([x / grow[0], (-y if turned else y) / grow[1], z], axis=-1)
     return points[:, ::-1]  # the part is where the steel is not
-
-
-def _shrunk(
-    face: Face, compensation: Compensation, half: Floats, at: tuple[Floats, Floats, Floats], turned: bool
-) -> Floats:
-    """Points (..., 3) of the part, cell frame, at places and outward heights `at` of a file's cell."""
-    (u, v, outward), grow = at, np.array(growth(compensation.shrinkage))
-    sunk = compensation.sink * (1.0 - (u / half[0]) ** 2) * (1.0 - (v / half[1]) ** 2)
-    raised = compensation.sink  # heights are counted from the apex of the bent lens
-    z = face.vertex[2] - face.side * (outward + raised - sunk) / grow[2]
-    return np.stack([u / grow[0], (-v if turned else v) / grow[1], z], axis=-1)
-
-
-def _file_cell(of: FaceFile, cell: tuple[int, int], turned: bool) -> tuple[Floats, Face, Floats]:
-    """Middle (2,) of a cell in a file, its own face there, and half the cell (2,)."""
-    array = of.face.array or 0
-    middle = _cell_of_file(of, cell, turned)
-    index, _, _ = of.window.locate(array, middle[:1], middle[1:])
-    return (
-        middle,
-        of.window.in_cell(of.face, index[0]),
-        np.abs(of.window.lattice_of(array).tile()).max(axis=0),
-    )
 
 
 def _made(
