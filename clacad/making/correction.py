@@ -197,8 +197,8 @@ class Correction:
         if not (window.uniform and all(face.untilted for face in window.faces)):
             raise NotPossible(
                 f"no next design: {self.design.name} has lenses of its own in each cell, or tilted ones; the"
-                " command of each is its own design plus the added form (added-*.npy); process.command adds it"
-                " in tooling"
+                " command of each is its own design plus the added form (added-*.npy); process.command adds"
+                " it in tooling"
             )
         found = [face.surface for face in window.faces]
         rest = np.full((NODES, NODES), np.nan)
