@@ -51,7 +51,7 @@ BLOCKS = 48
 """Block means over an aperture along each side, at most: 10 µm of a pitch of .5 mm."""
 
 LENS = (0.5, 2.0)
-"""Range of the curvature of a lenslet over that of the design's; others are land, dirt, or another thing."""
+"""Range of the sag of a lenslet over that of the design's; others are land, dirt, or another thing."""
 
 GUARD = 1.2
 """Factor by which standard deviations are stated larger than the noise of a lenslet gives them: they are
@@ -312,7 +312,7 @@ def _waves(scaled: Floats, longest: float, shortest: float) -> NDArrayComplex:
 
 
 def parts_of(u: Floats, v: Floats, bounds: Floats, bins: int) -> tuple[Ints, Ints]:
-    """Numbers (n,) along both sides of the part of a bounding box of half sizes `bounds` in which places lie."""
+    """Numbers (n,) along both sides of the part of a bounding box (half sizes `bounds`) of each place."""
     i, j = (
         np.clip(((one / half + 1.0) * (0.5 * bins)).astype(np.int64), 0, bins - 1)
         for one, half in zip((u, v), bounds, strict=True)
@@ -423,15 +423,21 @@ HALF = 0.5
 
 
 def _is_lens(values: Floats, wanted: Floats, aperture: Aperture, table: Floats) -> bool:
-    """Whether fitted numbers are those of a lenslet of the design: its curvature, and its middle; and whether
+    """Whether fitted numbers are those of a lenslet of the design: its sag, and its middle; and whether
     points (3, n) follow them, as those of letters do not.
     """
-    if not LENS[0] <= values[3] / wanted[3] <= LENS[1]:
+    square = float(aperture.half.max()) ** 2
+    with np.errstate(over="ignore", invalid="ignore"):  # of no lenslet anything may come
+        root = [1.0 - (1.0 + one[4]) * one[3] ** 2 * square for one in (values, wanted)]
+        sag, like = (
+            one[3] / (1.0 + np.sqrt(max(0.0, r))) for one, r in zip((values, wanted), root, strict=True)
+        )
+    if not LENS[0] <= sag / like <= LENS[1]:
         return False
     u, v, z = table[:, :: max(1, table.shape[1] // THIN)]
     off = float(np.median(np.abs(z - conic(values, u, v, slopes=False)[0])))
     aside = np.abs(values[:2] - wanted[:2]) / aperture.half
-    return bool(aside.max() <= 0.5 and off <= UNLIKE * abs(wanted[3]) * float(aperture.half.max()) ** 2)
+    return bool(aside.max() <= 0.5 and off <= UNLIKE * abs(wanted[3]) * square)
 
 
 def plane_of(points: Floats) -> Floats:
