@@ -51,7 +51,7 @@ BLOCKS = 48
 """Block means over an aperture along each side, at most: 10 µm of a pitch of .5 mm."""
 
 LENS = (0.5, 2.0)
-"""Range of the curvature of a lenslet over that of the design's; others are land, dirt, or another thing."""
+"""Range of the sag of a lenslet over that of the design's; others are land, dirt, or another thing."""
 
 GUARD = 1.2
 """Factor by which standard deviations are stated larger than the noise of a lenslet gives them: they are
@@ -155,9 +155,8 @@ class Lenslets:
         i.
         """
         step = _axes(self.lattice)[:, 0]
-        turn, _ = _levelled(np.empty((3, 0)), self.plane[1:])
         along = self.level.T @ np.append(step, self.plane[1:] @ step)
-        along, normal = along / np.linalg.norm(along), (turn @ self.level)[2]
+        along, normal = along / np.linalg.norm(along), (_levelling(self.plane[1:]) @ self.level)[2]
         across = np.cross(normal, along)
         return (
             float(np.arctan2(-across[0], across[1])),
@@ -269,7 +268,8 @@ class _Grid:
 
     def block(self, u: Floats, v: Floats) -> Ints:
         """Block (n,) of each place."""
-        return _part(u, v, self.aperture, self.side)
+        i, j = parts_of(u, v, self.aperture.half, self.side)
+        return np.asarray(i * self.side + j)
 
     def noise(self, weight: Floats, rest: Floats) -> float:
         """Variance of a single point, as far as it reaches the numbers of a lenslet.
@@ -311,13 +311,13 @@ def _waves(scaled: Floats, longest: float, shortest: float) -> NDArrayComplex:
     return np.asarray(np.exp(1j * np.pi * (kept if len(kept) else cycles) @ scaled))
 
 
-def _part(u: Floats, v: Floats, aperture: Aperture, side: int) -> Ints:
-    """Part of an aperture, of `side` × `side`, in which places (n,) lie."""
-    at = [
-        np.clip(((one / half + 1.0) * (0.5 * side)).astype(np.int64), 0, side - 1)
-        for one, half in zip((u, v), aperture.half, strict=True)
-    ]
-    return np.asarray(at[0] * side + at[1])
+def parts_of(u: Floats, v: Floats, bounds: Floats, bins: int) -> tuple[Ints, Ints]:
+    """Numbers (n,) along both sides of the part of a bounding box (half sizes `bounds`) of each place."""
+    i, j = (
+        np.clip(((one / half + 1.0) * (0.5 * bins)).astype(np.int64), 0, bins - 1)
+        for one, half in zip((u, v), bounds, strict=True)
+    )
+    return i, j
 
 
 Targets = Callable[[Ints], Floats]
@@ -332,10 +332,12 @@ def fit_lenslets(measured: MeasuredMap, design: Pattern, aperture: Aperture, tar
     design : Cells of the face, in the axes of a map.
     Raises NotMeasurable: As `find_lattice`; or no whole lenslet.
     """
-    level, points = _levelled(measured.points, plane_of(measured.points))
+    level = _levelling(plane_of(measured.points))
     start = targets(np.zeros((1, 2), dtype=np.int64))[0]
     found = find_lattice(
-        replace(measured, points=points), design, lambda u, v: conic(start, u, v, slopes=False)[0]
+        replace(measured, points=level @ measured.points),
+        design,
+        lambda u, v: conic(start, u, v, slopes=False)[0],
     )
     grid = _grid(aperture, max(measured.pixel))
     few = _some(measured.points, THIN * prod(measured.pixel) / float(np.prod(2.0 * aperture.half)))
@@ -357,8 +359,7 @@ def fit_lenslets(measured: MeasuredMap, design: Pattern, aperture: Aperture, tar
         index = np.array(cells)[kept]
         found, plane, values = _placed(found, index, values, wanted[kept])
         if not last:
-            turn, _ = _levelled(np.empty((3, 0)), plane[1:])
-            level = turn @ level
+            level = _levelling(plane[1:]) @ level
     covariance, form, u_form, texture = (
         np.array([getattr(one, name) for one in fits]) for name in ("covariance", "form", "u_form", "texture")
     )
@@ -422,15 +423,21 @@ HALF = 0.5
 
 
 def _is_lens(values: Floats, wanted: Floats, aperture: Aperture, table: Floats) -> bool:
-    """Whether fitted numbers are those of a lenslet of the design: its curvature, and its middle; and whether
+    """Whether fitted numbers are those of a lenslet of the design: its sag, and its middle; and whether
     points (3, n) follow them, as those of letters do not.
     """
-    if not LENS[0] <= values[3] / wanted[3] <= LENS[1]:
+    square = float(aperture.half.max()) ** 2
+    with np.errstate(over="ignore", invalid="ignore"):  # of no lenslet anything may come
+        root = [1.0 - (1.0 + one[4]) * one[3] ** 2 * square for one in (values, wanted)]
+        sag, like = (
+            one[3] / (1.0 + np.sqrt(max(0.0, r))) for one, r in zip((values, wanted), root, strict=True)
+        )
+    if not LENS[0] <= sag / like <= LENS[1]:
         return False
     u, v, z = table[:, :: max(1, table.shape[1] // THIN)]
     off = float(np.median(np.abs(z - conic(values, u, v, slopes=False)[0])))
     aside = np.abs(values[:2] - wanted[:2]) / aperture.half
-    return bool(aside.max() <= 0.5 and off <= UNLIKE * abs(wanted[3]) * float(aperture.half.max()) ** 2)
+    return bool(aside.max() <= 0.5 and off <= UNLIKE * abs(wanted[3]) * square)
 
 
 def plane_of(points: Floats) -> Floats:
@@ -440,18 +447,17 @@ def plane_of(points: Floats) -> Floats:
     return np.asarray(np.linalg.lstsq(design, z, rcond=None)[0][1:])
 
 
-def _levelled(points: Floats, slopes: Floats) -> tuple[Floats, Floats]:
-    """Rotation that makes a plane of these slopes level, about a level axis; and the points (3, n) turned."""
+def _levelling(slopes: Floats) -> Floats:
+    """Rotation (3, 3) that makes a plane of these slopes level, about a level axis."""
     normal = np.array([-slopes[0], -slopes[1], 1.0]) / np.sqrt(1.0 + slopes @ slopes)
     x, y, z = normal
-    turn = np.array(
+    return np.array(
         [
             [1.0 - x * x / (1.0 + z), -x * y / (1.0 + z), -x],
             [-x * y / (1.0 + z), 1.0 - y * y / (1.0 + z), -y],
             normal,
         ]
     )
-    return turn, turn @ points
 
 
 def _grouped(
@@ -499,7 +505,8 @@ def _whole(table: Floats, aperture: Aperture, tiles: int) -> bool:
     line = (np.arange(tiles) + 0.5) / tiles * 2.0 - 1.0
     gx, gy = np.meshgrid(*(line * half for half in aperture.half), indexing="ij")
     wanted = aperture.holds(gx.ravel(), gy.ravel())
-    count = np.bincount(_part(table[0], table[1], aperture, tiles), minlength=tiles * tiles)
+    i, j = parts_of(table[0], table[1], aperture.half, tiles)
+    count = np.bincount(i * tiles + j, minlength=tiles * tiles)
     held = (count >= max(1.0, 0.2 * float(np.median(count[wanted])))) | ~wanted
     square = held.reshape(tiles, tiles)
     sides = (square[0], square[-1], square[:, 0], square[:, -1])
@@ -544,19 +551,18 @@ def _sums(table: Floats, values: Floats, grid: _Grid) -> _Sums:
     """Block means of one lenslet by all its points (3, n), without spikes and dirt."""
     u, v, z = table
     off = z - conic(values, u, v, slopes=False)[0]
-    block, kept = grid.block(u, v), _near(off)
+    block = grid.block(u, v)
     smooth = np.zeros(grid.side * grid.side)
-    for _ in range(2):
-        form, square, weight, mean = _form(off, block, kept, grid)
-        smooth[grid.inside] = grid.basis @ form
-        rest = off - smooth[block]
-        kept = kept if _ else _near(rest)
+    smooth[grid.inside] = grid.basis @ _form(off, block, _near(off), grid)[0]
+    kept = _near(off - smooth[block])
+    form, square, weight, mean = _form(off, block, kept, grid)
+    smooth[grid.inside] = grid.basis @ form
     slopes = conic(values, *grid.places)[1]
     # the aperture as a whole counts, not the points that were not lost: of both the form is weighed alike
     share = _least_squares(slopes, np.ones(len(weight)), mean)[1] @ grid.basis
     own = np.eye(len(form)) - grid.inverse @ slopes @ share
     spread = max(grid.noise(weight, mean - grid.basis @ form), 1e-300)
-    texture = float(np.sqrt(np.mean(rest[kept] ** 2)))
+    texture = float(np.sqrt(np.mean((off - smooth[block])[kept] ** 2)))
     return _Sums(values, weight, mean, square, form, own, share, spread, texture)
 
 

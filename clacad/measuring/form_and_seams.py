@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
-from clacad.measuring.fit_lenslets import CLIPPED, Lenslets, conic
-from clacad.measuring.light_through_form import MeasuredSide, parts_of
+from clacad.measuring.fit_lenslets import CLIPPED, Lenslets, conic, parts_of
+from clacad.measuring.light_through_form import MeasuredSide
 from clacad.measuring.read_map import MeasuredMap
 from clacad.measuring.sides import ShownCells
 

@@ -15,10 +15,10 @@ from math import exp, nan, pi
 
 import numpy as np
 
-from clacad.base.types import Bools, Floats, Ints
+from clacad.base.types import Bools, Floats
 from clacad.light.measure import Light, measure
 from clacad.measuring.find_lattice import NotMeasurable
-from clacad.measuring.fit_lenslets import Lenslets
+from clacad.measuring.fit_lenslets import Lenslets, parts_of
 from clacad.measuring.sides import Name, ShownCells, Side
 from clacad.optics.rays import TraceResult
 from clacad.sheet.bundle import Bundle, RequestedLaw, bundle
@@ -41,15 +41,6 @@ DRAWS = 6
 
 PHASE = 1.0
 """Rms phase (radians) up to which the undisturbed share of light is exp(−phase²)."""
-
-
-def parts_of(u: Floats, v: Floats, bounds: Floats, bins: int) -> tuple[Ints, Ints]:
-    """Numbers (n,) along both sides of the part of a cell's bounding box in which each place lies."""
-    i, j = (
-        np.clip(((one / half + 1.0) * (0.5 * bins)).astype(np.int64), 0, bins - 1)
-        for one, half in zip((u, v), bounds, strict=True)
-    )
-    return i, j
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,6 +40,7 @@ class Made:
     bowls: bool = False
     scallop: tuple[float, float] = (0.0, 0.0)  # rms, period
     seed: int = 0
+    rounds: int = 40  # most of them to where a pixel meets a tilted part
     cells: dict[tuple[int, int], tuple[float, float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -97,7 +98,7 @@ class Made:
         turn = _about(2, self.turn) @ _about(0, a) @ _about(1, b)
         shift = np.array([*self.shift, 0.0])
         qz = np.zeros_like(qx)
-        for _ in range(40):
+        for _ in range(self.rounds):
             p = np.einsum("ji,jkl->ikl", turn, np.stack([qx, qy, qz]) - shift[:, None, None])
             z, seam = self.surface(p[0], p[1])
             step = (z - p[2]) / turn[2, 2]
