@@ -135,9 +135,9 @@ def test_a_process_is_explained_with_its_materials_height_and_width(rules):
 @pytest.mark.parametrize(
     ("material", "says"),
     [
-        ("germanium", ("n = 4.0036 at 10.6 µm", "known from 2000 to 14000 nm", "5330 kg/m³", "396e-6/K", "expansion 6.1e-6/K")),
-        ("COP", ("V_d = ", "1010 kg/m³", "dn/dT -100e-6/K", "worked by diamond-turning")),
-        ("OrmoComp", ("V_d is not published", "density not published", "dn/dT not published", "expansion not published")),
+        ("germanium", ("n = 4.0036 at 10.6 µm", "known from 2000 to 14000 nm", "5330 kg/m³", "dn/dT: 396e-6/K", "expansion: 6.1e-6/K")),
+        ("COP", ("V_d = ", "1010 kg/m³", "dn/dT: -100e-6/K", "worked by diamond-turning")),
+        ("OrmoComp", ("V_d is not published", "density: no published value", "dn/dT: no published value", "expansion: no published value")),
         ("N-BK7", ("V_d = 64.2", "worked by no process")),
     ],
 )  # fmt: skip
