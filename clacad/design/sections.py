@@ -334,7 +334,7 @@ class ThermalSpec:
     material: str = key(Text("the name of a material", 60), "material whose numbers are stated", REQUIRED)
     dn_dt: float | None = key(_PER_KELVIN, "change of the index with temperature, 1/K")
     expansion: float | None = key(_PER_KELVIN, "linear thermal expansion, 1/K")
-    source: str = key(Text("a source", 200), "source of the numbers", "light.thermal")
+    source: str = key(Text("a source", 200), "source of the numbers", "the design")
 
 
 LINES: Final = ListOf(Record(LineSpec), "tables", least=1)

@@ -50,7 +50,7 @@ UNLIKE = 0.1
 BLOCKS = 48
 """Block means over an aperture along each side, at most: 10 µm of a pitch of .5 mm."""
 
-LENS = (0.5, 2.0)
+LENS = (0.4, 2.5)
 """Range of the sag of a lenslet over that of the design's; others are land, dirt, or another thing."""
 
 GUARD = 1.2
