@@ -72,7 +72,7 @@ class Compensation:
         }
 
 
-HEAD, TERMS = 4, 45
+HEAD, TERMS = 4, ALONG * (ALONG + 1) // 2
 """Numbers before the coefficients in a row of forms; number of polynomials to degree 8."""
 
 

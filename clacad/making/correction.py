@@ -25,7 +25,7 @@ from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
 from clacad.config.mistakes import DesignError
 from clacad.design.process import process_of
-from clacad.exporting.compensation import form_name, form_rows
+from clacad.exporting.compensation import TERMS, form_name, form_rows
 from clacad.formats.maps.dose import Calibration, read_calibration
 from clacad.making.texture import level_step, step_rms
 from clacad.measuring.find_lattice import Found
@@ -53,9 +53,6 @@ NEXT = "next.toml"
 
 NODES = 128
 """Heights of a command along each side of the box around a cell; the next cell begins after the last."""
-
-TERMS = 45
-"""Number of polynomials to degree 8."""
 
 FARTHEST = 1.5
 """Largest correction at the rim, over its range inside the measured aperture."""

@@ -546,6 +546,14 @@ class _Sums:
     spread: float
     texture: float
 
+    def inverse(self, weak: Floats) -> Floats:
+        """Inverse (c, c) of the normal equations with the weights `weak` (c,) of form beyond the conic."""
+        return np.asarray(np.linalg.inv(self.square + self.own.T @ (weak[:, None] * self.own)))
+
+    def variances(self, inverse: Floats) -> Floats:
+        """Variances (c,) of the coefficients of form beyond the conic."""
+        return np.asarray(self.spread * np.einsum("ij,jk,ik->i", self.own, inverse, self.own))
+
 
 def _sums(table: Floats, values: Floats, grid: _Grid) -> _Sums:
     """Block means of one lenslet by all its points (3, n), without spikes and dirt."""
@@ -584,10 +592,10 @@ def _refined(every: Sequence[_Sums], grid: _Grid) -> list[_Fit]:
     weak = _weakness(every, grid.basis.shape[1])
     fits = []
     for one in every:
-        inverse = np.linalg.inv(one.square + one.own.T @ (weak[:, None] * one.own))
+        inverse = one.inverse(weak)
         form = one.own @ inverse @ (grid.basis.T @ (one.weight * one.mean))
         straight, best = _least_squares(conic(one.values, *grid.places)[1], one.weight, one.mean)
-        u_form = np.sqrt(np.maximum(one.spread * np.einsum("ij,jk,ik->i", one.own, inverse, one.own), 0.0))
+        u_form = np.sqrt(np.maximum(one.variances(inverse), 0.0))
         fits.append(
             _Fit(
                 one.values + straight - best @ (grid.basis @ form),
@@ -612,9 +620,9 @@ def _weakness(every: Sequence[_Sums], count: int) -> Floats:
     for _ in range(STEPS):
         seen = np.zeros(count)
         for one in every:
-            inverse = np.linalg.inv(one.square + one.own.T @ (weak[:, None] * one.own))
+            inverse = one.inverse(weak)
             form = one.own @ inverse @ one.square @ one.form
-            seen += form**2 + one.spread * np.einsum("ij,jk,ik->i", one.own, inverse, one.own)
+            seen += form**2 + one.variances(inverse)
         for d in range(3, int(degree[-1]) + 1):
             weak[degree == d] = noise * len(every) / max(float(seen[degree == d].mean()), 1e-300)
     return weak

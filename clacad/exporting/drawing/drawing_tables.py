@@ -84,11 +84,10 @@ def faces_table(window: Window, allowed: Allowances) -> Canvas:
             place = ", ".join(mm_text(v * mm) for v in face.vertex)
             if face.change is not None:  # each its own: see the table of cells
                 place = f"by cell, by cell, {mm_text(face.vertex[2] * mm)}"
-            turned = ", ".join(f"{v:.5g}" for v in euler_degrees(face.rotation))
-            if face.array is None or face.own_axes:
-                turned = "-" if face.array is None else "by cell"
-            flat = face.array is None
-            rows.append([f"{body.name} {side}", *radii, *(["-", "-"] if flat else conics), place, turned])
+            same = ", ".join(f"{v:.5g}" for v in euler_degrees(face.rotation))
+            turned = "by cell" if face.own_axes else same
+            lens = ["-", "-", place, "-"] if face.array is None else [*conics, place, turned]
+            rows.append([f"{body.name} {side}", *radii, *lens])
             rows[-1] += [_terms(face, order, mm) for order in orders]
     return table("faces (mm; radius above 0: bends towards +z; lens axes)", head, rows)
 
