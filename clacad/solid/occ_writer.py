@@ -239,6 +239,10 @@ QUADRATURE = 1e-12
 SUFFICIENT = 1e-9
 """Relative error per face requested of its Gauss-Kronrod quadrature of a volume; that of a sheet: 1e-10."""
 
+ROUNDED = 3e4
+"""Relative errors of rounded heights below which that quadrature, which then does not end, is not asked to
+err: far from the origin (1 km off, heights of .01 mm have lost 8 digits)."""
+
 
 def volume(shape: Any) -> float:
     """Volume over a plane below by OCCT's Gauss-Kronrod quadrature, mm³, without walls along z: they have
@@ -249,11 +253,13 @@ def volume(shape: Any) -> float:
     which OCCT takes the height of another plane is wrong, which costs digits.
     """
     ground, parts, down = gp_Pln(gp_Pnt(0.0, 0.0, 0.0), gp_Dir(0.0, 0.0, 1.0)), [], gp_Trsf()
-    down.SetTranslation(gp_Vec(0.0, 0.0, -box(shape)[0][2]))
+    low, high = (corner[2] for corner in box(shape))
+    down.SetTranslation(gp_Vec(0.0, 0.0, -low))
+    relative = max(SUFFICIENT, ROUNDED * float(np.spacing(max(-low, high))) / (high - low))
     for face in explored(shape.Moved(TopLoc_Location(down)), TopAbs_FACE):
         if not _along_z(BRepAdaptor_Surface(face)):
             properties = GProp_GProps()
-            BRepGProp.VolumePropertiesGK_s(face, properties, ground, SUFFICIENT)
+            BRepGProp.VolumePropertiesGK_s(face, properties, ground, relative)
             parts.append(properties.Mass())
     return fsum(parts)
 
