@@ -239,7 +239,7 @@ QUADRATURE = 1e-12
 SUFFICIENT = 1e-9
 """Relative error per face requested of its Gauss-Kronrod quadrature of a volume; that of a sheet: 1e-10."""
 
-ROUNDED = 3e4
+ROUNDED = 2e4
 """Relative errors of rounded heights below which that quadrature, which then does not end, is not asked to
 err: far from the origin (1 km off, heights of .01 mm have lost 8 digits)."""
 
