@@ -129,12 +129,13 @@ def holds_text(entry: Mapping[str, Any]) -> str:
         solids, faces = int(entry["solids"]), int(entry["faces"])
         words = f"{count_text(solids, 'solid', ',')} with {faces:,} faces"
         if instanced:
+            part = "sector of cells" if entry.get("own_cells") else "cell"
             return (
-                f"{words}: one cell repeated, its solids touch; the default above {FUSED_CELLS:,} cells "
+                f"{words}: one {part} repeated, its solids touch; the default above {FUSED_CELLS:,} cells "
                 "(--fused: one a connected piece)"
             )
         if entry.get("own_cells"):
-            return f"{words}, one a connected piece; every cell differs, so that none can be repeated"
+            return f"{words}, one a connected piece; no cell is repeated, for they differ"
         if all(is_fixture(name) or name.endswith(".marked") for name in entry["bodies"]):
             return f"{words}, one a connected piece"
         return (

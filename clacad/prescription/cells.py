@@ -62,6 +62,8 @@ from clacad.prescription.traced_vertices import (
     traced_moves,
 )
 from clacad.sheet.cell_places import CellLaws, CellPlacement, VertexChange, as_table, lens_plane_slope, tabled
+from clacad.sheet.lattice import in_sector
+from clacad.sheet.representative_cells import quarter_turned, turned_alike, turned_cells
 from clacad.sheet.vignetting import aperture_slope, aperture_slopes
 from clacad.sheet.volume_and_extent import FIELD
 from clacad.sheet.window import Face, FieldLens, ThinPair, Window, changed_faces
@@ -165,10 +167,37 @@ def with_own_cells(window: Window, design: Design, field: FieldCells | None = No
         light = _light(placed, targets, first, slope, aims)
         if field is not None:
             light = replace(light, field=field_moves(window, placed, targets.cells))
-        table = table + moves_of(window, light)
+        table = table + _moves(window, placed, targets.cells, light)
         _refuse_far(placed, targets, table, aims)
     made = _with_tables(placed, targets, table, slope)
     return replace(made, thin=_thin(placed, targets, inclined)) if varying else made
+
+
+def _moves(window: Window, placed: Window, cells: Ints, light: CellLight) -> Floats:
+    """Moves (n, 2), lengths, of lenses 2, found once for cells that a turn about the axis makes the same."""
+    copies = 1 if light.own is not None or light.field is not None else turned_alike(placed)
+    lattice = placed.lattice
+    number = as_table(lattice, cells, np.arange(float(len(cells))))
+    for copies in (k for k in (4, 2) if k <= copies):
+        there = tabled(number, lattice, turned_cells(lattice, cells, copies), 0).astype(np.int64)
+        if all(
+            np.allclose(given[there, :2], quarter_turned(given[:, :2], copies), rtol=0.0, atol=TURNED)
+            for given in (light.slopes, light.asked, light.first, light.variable)
+        ):
+            break
+    else:
+        return moves_of(window, light)
+    first = np.flatnonzero(in_sector(lattice.centres(cells), copies))
+    moves = np.zeros(light.first.shape)  # a lens on the axis is not moved
+    moves[first] = moves_of(window, replace(light.of(first), copies=copies))
+    for _ in range(copies - 1):
+        moves[there[first]] = quarter_turned(moves[first], copies)
+        first = there[first]
+    return moves
+
+
+TURNED = 1e-12
+"""Rounding error of slopes, and of lengths in pitches of a millimetre, that a turn is taken to make."""
 
 
 def _followed(place: CellPlacement, window: Window, cells: Ints) -> Floats:

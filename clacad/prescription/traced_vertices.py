@@ -121,6 +121,7 @@ class CellLight:
     own : None: the lenses of all cells are alike.
     field : (k, m, 3) lengths or None
         Displacement of each field face of each cell from the window's, relative to lens 1.
+    copies : 4: the light of a cell is the same after a quarter turn, as its lenses are.
     """
 
     slopes: Floats
@@ -131,6 +132,7 @@ class CellLight:
     climb: Pair2 = (0.0, 0.0)
     own: OwnLenses | None = None
     field: Floats | None = None
+    copies: int = 1
 
     def of(self, rows: Ints) -> CellLight:
         """Light of some cells, by their indices (k,) in the list."""
@@ -226,7 +228,7 @@ def _powers(t: Floats, degree: int) -> Floats:
 
 def _solved(window: Window, light: CellLight, start: Floats | None = None) -> Floats:
     """Moves (m, 2) of lens 2, each by its own secant iteration from `start`, all traced together."""
-    seq, points, owners = interfaces(window), _cell_points(window, light.own), _owners(window)
+    seq, points, owners = interfaces(window), _cell_points(window, light.own, light.copies), _owners(window)
     if light.own is None or light.own.aspect is None:  # a quadric is stretched otherwise than its biconic
         seq = [replace(one, surface=simplest(one.surface)) for one in seq]
     slopes, asked = light.slopes, light.asked
@@ -358,12 +360,14 @@ def _sizes(owners: list[int], light: CellLight, n: int) -> list[Floats]:
     return [of(owner) for owner in owners]
 
 
-def _cell_points(window: Window, own: OwnLenses | None = None) -> Floats:
+def _cell_points(window: Window, own: OwnLenses | None = None, copies: int = 1) -> Floats:
     """Points (256, 2), or (m, 256, 2) for cells of different sizes, at z = 0 of the light that lens 2 can
     accept, relative to the cell's centre, lengths.
     """
     fill = min(1.0, *(1.0 / abs(one) for one in (window.law.eta_x, window.law.eta_y)))
     quarter = (1.0 if own is not None else fill) * window.lattice.over_cell(sobol(RAYS, 2))
+    if copies == 4:
+        quarter = np.concatenate([quarter[: RAYS // 2], quarter[: RAYS // 2, ::-1]])
     points = np.concatenate([quarter * signs for signs in ((1, 1), (-1, 1), (1, -1), (-1, -1))])
     return points if own is None else own.fill[:, None, None] * points
 

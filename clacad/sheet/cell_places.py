@@ -73,7 +73,11 @@ class CellPlacement:
         if not self.own:
             return base
         return replace(
-            base, pitch=base.pitch if self.pitch is None else self.pitch, outline=None, turn=self.turn
+            base,
+            pitch=base.pitch if self.pitch is None else self.pitch,
+            outline=None,
+            turn=self.turn,
+            copies=1,
         )
 
     def scale(self, base: Lattice) -> Pair2:

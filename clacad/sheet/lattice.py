@@ -61,6 +61,12 @@ def inside_outline(outline: Outline, points: Floats) -> Bools:
     return np.asarray((np.abs(x) <= room * outline.width) & (np.abs(y) <= room * outline.height))
 
 
+def in_sector(points: Floats, copies: int) -> Bools:
+    """Which points (..., 2) lie in the first of 2 or 4 sectors about the origin, each with its first edge."""
+    x, y = points[..., 0], points[..., 1]
+    return np.asarray((y >= 0.0) & (x > 0.0) if copies == 4 else (y > 0.0) | ((y == 0.0) & (x > 0.0)))
+
+
 def grown(outline: Outline, border: float) -> Outline:
     """Outline with a border (length) of constant width added around a circle or a rectangle;
     a `Plate` is returned as drawn.
@@ -96,6 +102,9 @@ class Lattice(Pattern):
         Only cells whose whole footprint lies inside are kept.
     turn : float, radians
         Rotation of the whole pattern about its centre, from +x to +y; 0 for a pattern with an outline.
+    copies : 1, 2 or 4
+        Above 1: only cells of the first half turn (y > 0) or quarter turn (x, y > 0) are kept; with the others
+        turned about the origin they are the whole pattern but a cell at its centre.
     """
 
     kind: Kind
@@ -103,6 +112,7 @@ class Lattice(Pattern):
     count: tuple[int, int]
     outline: Outline | None = None
     turn: float = 0.0
+    copies: int = 1
 
     @property
     def straight(self) -> Lattice:
@@ -119,6 +129,8 @@ class Lattice(Pattern):
         first = -(j // 2) if self.hexagonal else np.zeros_like(j)
         n1, n2 = self.count
         inside = (j >= 0) & (j < n2) & (i >= first) & (i < first + n1)
+        if self.copies > 1:
+            inside &= in_sector(self.centres(index), self.copies)
         if self.outline is None:
             return np.asarray(inside)
         if isinstance(self.outline, Plate):
@@ -140,7 +152,7 @@ class Lattice(Pattern):
     @property
     def cell_count(self) -> int:
         """Number of kept cells."""
-        if self.outline is None:
+        if self.outline is None and self.copies == 1:
             return self.count[0] * self.count[1]
         return sum(map(len, _blocks(self)))
 
@@ -161,7 +173,7 @@ class Lattice(Pattern):
 
     def extent(self) -> tuple[float, float, float, float]:
         """Bounding box (x_min, x_max, y_min, y_max) of the kept cells' footprints (lengths)."""
-        if self.outline is not None:
+        if self.outline is not None or self.copies > 1:
             index = self.cells()
         elif self.hexagonal:
             index = np.concatenate([self.row(j) for j in {0, min(1, self.count[1] - 1), self.count[1] - 1}])
@@ -267,7 +279,7 @@ def _of_rows(lattice: Lattice, rows: Ints) -> Ints:
     number = last - first
     i = np.arange(number.sum()) + np.repeat(first - (np.cumsum(number) - number), number)
     index = np.stack([i, np.repeat(rows, number)], axis=-1)
-    return index[lattice.contains(index)] if lattice.outline is not None else index
+    return index if lattice.outline is None and lattice.copies == 1 else index[lattice.contains(index)]
 
 
 def _on_plate(lattice: Lattice, plate: Plate) -> Bools:

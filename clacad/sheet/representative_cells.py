@@ -7,13 +7,16 @@ A rule is deterministic and fast: it computes no light. `tracing/worst_cell.py` 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints
 from clacad.sheet.cell_places import extreme_cells
+from clacad.sheet.plate import Plate
 from clacad.sheet.window import (
     Face,
     Window,
@@ -76,6 +79,85 @@ def central_cell(window: Window) -> tuple[int, int]:
     centres = lattice.centres(cells)
     near = cells[int(np.argmin((centres**2).sum(axis=1)))]
     return int(near[0]), int(near[1])
+
+
+SAME = 1e-12
+"""Difference of heights or positions of cells that are the same piece, in pitches: a file's last digit."""
+
+_TURNED: WeakKeyDictionary[Window, int] = WeakKeyDictionary()
+
+
+def turned_alike(window: Window) -> int:
+    """Number of turns about the sheet's axis, 4, 2 or 1, after which every cell is again the same piece.
+
+    Whether a hole, or a border that is not centred, breaks the symmetry is not asked, see `sectors_of`.
+    """
+    if window not in _TURNED:
+        found = (copies for copies in (4, 2) if _alike_after(window, copies))
+        _TURNED[window] = next(found, 1)
+    return _TURNED[window]
+
+
+def turned_cells(lattice: Lattice, cells: Ints, copies: int) -> Ints:
+    """Cells (n, 2) that cells (n, 2) come to lie on after a turn by 360 degrees / `copies`, 2 or 4."""
+    (i, j), (n1, n2) = cells.T, lattice.count
+    if lattice.hexagonal:
+        row = n2 - 1 - j
+        return np.stack([n1 - 1 - (i + j // 2) - row // 2, row], axis=1)
+    return np.stack([n1 - 1 - i, n2 - 1 - j] if copies == 2 else [n1 - 1 - j, i], axis=1)
+
+
+def quarter_turned(points: Floats, copies: int) -> Floats:
+    """Points (..., 2) after a turn about the origin by 360 degrees / `copies`, 2 or 4: exact."""
+    return 0.0 - points if copies == 2 else np.stack([0.0 - points[..., 1], points[..., 0]], axis=-1)
+
+
+def _alike_after(window: Window, copies: int) -> bool:
+    lattice = window.lattice
+    pitches = [window.lattice_of(array).pitch for array in range(len(window.placements))]
+    square = lattice.count[0] == lattice.count[1] and all(x == y for x, y in pitches)
+    placed = any(place.turn or place.shift != (0.0, 0.0) for place in window.placements)
+    if placed or isinstance(lattice.outline, Plate) or (copies == 4 and (lattice.hexagonal or not square)):
+        return False
+    cells = lattice.cells()
+    there, near = turned_cells(lattice, cells, copies), SAME * min(lattice.pitch)
+    if not lattice.contains(there).all():
+        return False
+    apart = lattice.centres(there) - quarter_turned(lattice.centres(cells), copies)
+    if np.abs(apart).max() > near:
+        return False
+    for face in window.faces:
+        if face.array is None:
+            continue
+        if face.form is not None:
+            return False
+        points = 0.9 * np.concatenate([one := optical_tile(window, face.array), 0.5 * one, one[:1] * 0.0])
+        here, after = (
+            heights_of_lenses(face, window.lenses(face, index[:, None]), *at.T[:, None])
+            for index, at in ((cells, points), (there, quarter_turned(points, copies)))
+        )
+        if not np.allclose(here, after, rtol=0.0, atol=near, equal_nan=True):
+            return False
+    return True
+
+
+def sectors_of(window: Window) -> int:
+    """Number of equal sectors, 4, 2 or 1, that a sheet can be cut into along borders of its cells.
+
+    An outline is cut along x = 0 and y = 0, where borders of all arrays must lie: no cell may lie there.
+    """
+    lattice, copies = window.lattice, turned_alike(window)
+    if isinstance(window.outline, Plate) or (lattice.hexagonal and window.outline is not None):
+        return 1
+    odd = [bool(number % 2) for number in lattice.count]
+    if copies == 4 and any(odd):
+        return 1
+    return 1 if odd[1] else copies
+
+
+def sector(window: Window) -> Window:
+    """The window with the cells of its first sector alone; turned by `lattice.copies` it is the whole."""
+    return replace(window, lattice=replace(window.lattice, copies=sectors_of(window)))
 
 
 def _displaced(window: Window) -> Ints:

@@ -37,7 +37,7 @@ class Path:
     """An outline in the plane z = 0, counter-clockwise; a round one in four quarters.
 
     centre : (2,), mm
-    radius : Of a round outline.
+    radius : Of the round arcs.
     touched : Whether cells may touch it.
     rounds : tuple of (centre (2,), radius, sense) or None
         Circle of each arc, mm, and its sense: 1 counter-clockwise, −1 clockwise. None for a straight one.
@@ -45,7 +45,7 @@ class Path:
 
     arcs: tuple[Arc, ...]
     centre: Floats
-    radius: float | None
+    radius: float
     touched: bool = True
     rounds: tuple[Round | None, ...] = ()
 
@@ -54,7 +54,7 @@ class Path:
         for side, arc in enumerate(self.arcs if self.touched else ()):
             a, b = arc.poles[0, :2], arc.poles[-1, :2]
             width = SNAP / float(np.hypot(*(b - a)))
-            if self.radius is None:
+            if arc.straight:
                 u = float((point - a) @ (b - a) / ((b - a) @ (b - a)))
                 away = float(np.hypot(*(point - a - u * (b - a))))
             else:
@@ -66,15 +66,16 @@ class Path:
 
     def _on_quarter(self, side: int, point: Floats) -> float:
         """Parameter of a point of a round path on one quarter; 2 if it lies on another."""
-        way = point - self.centre
-        angle = (atan2(way[1], way[0]) - (side - 1) * 0.5 * pi + 1e-9) % tau - 1e-9
+        way, begin = point - self.centre, self.arcs[side].poles[0, :2] - self.centre
+        start = round(atan2(begin[1], begin[0]) / (0.5 * pi)) * 0.5 * pi
+        angle = (atan2(way[1], way[0]) - start + 1e-9) % tau - 1e-9
         if angle > 0.5 * pi:
             return 2.0
         low, high = 0.0, 1.0
         for _ in range(60):
             middle = 0.5 * (low + high)
             x, y = self.arcs[side].at(np.array([middle]))[0, :2] - self.centre
-            if (atan2(y, x) - (side - 1) * 0.5 * pi + 1e-9) % tau - 1e-9 < angle:
+            if (atan2(y, x) - start + 1e-9) % tau - 1e-9 < angle:
                 low = middle
             else:
                 high = middle
@@ -86,7 +87,7 @@ class Path:
         if u == 0.0:
             before = self.arcs[side - 1]
             out, back = arc.poles[1] - arc.poles[0], before.poles[-2] - before.poles[-1]
-        elif self.radius is None:
+        elif arc.straight:
             out = arc.poles[1] - arc.poles[0]
             back = -out
         else:
@@ -114,22 +115,34 @@ def _blossom(control: Floats, s: float, t: float) -> Floats:
     return np.asarray((1.0 - t) * first[0] + t * first[1])
 
 
-def outline_path(outline: Outline, scale: float, centre: Floats) -> Path:
-    """Path about a centre (2,), mm, of an outline (`scale` mm per unit) or of a plate's boundary."""
+def outline_path(outline: Outline, scale: float, centre: Floats, copies: int = 1) -> Path:
+    """Path about a centre (2,), mm, of an outline (`scale` mm per unit) or of a plate's boundary.
+
+    copies : Above 1: of its first half (2, y > 0) or quarter (4, x, y > 0) about the centre.
+    """
     if isinstance(outline, Plate):
         return plate_paths(outline, scale)[0]
+    middle = np.append(centre, 0.0)
     if isinstance(outline, Circle):
         r = 0.5 * outline.diameter * scale
         starts, corners = [(0.0, -r), (r, 0.0), (0.0, r), (-r, 0.0)], [(r, -r), (r, r), (-r, r), (-r, -r)]
         weights = np.array([1.0, sqrt(0.5), 1.0])
         arcs = [
-            Arc(np.array([[*a, 0.0], [*b, 0.0], [*c, 0.0]]) + np.append(centre, 0.0), weights)
+            Arc(np.array([[*a, 0.0], [*b, 0.0], [*c, 0.0]]) + middle, weights)
             for a, b, c in zip(starts, corners, starts[1:] + starts[:1])
         ]
-        return Path(tuple(arcs), centre, r, rounds=((centre, r, 1.0),) * 4)
-    w, h = 0.5 * outline.width * scale, 0.5 * outline.height * scale
-    points = np.array([(-w, -h, 0.0), (w, -h, 0.0), (w, h, 0.0), (-w, h, 0.0)]) + np.append(centre, 0.0)
-    return Path(tuple(line(a, b) for a, b in zip(points, np.roll(points, -1, axis=0))), centre, None)
+        arcs = arcs if copies == 1 else arcs[1 : 1 + 4 // copies]
+        rounds: list[Round | None] = [(centre, r, 1.0)] * len(arcs)
+    else:
+        r, w, h = 0.0, 0.5 * outline.width * scale, 0.5 * outline.height * scale
+        low = {1: (-w, -h), 2: (-w, 0.0), 4: (0.0, 0.0)}[copies]
+        points = np.array([(*low, 0.0), (w, low[1], 0.0), (w, h, 0.0), (low[0], h, 0.0)]) + middle
+        arcs, rounds = [line(a, b) for a, b in zip(points, np.roll(points, -1, axis=0))], []
+    if rounds and copies > 1:  # along the cuts from and to the middle
+        stops = [arcs[-1].poles[-1], *([middle] if copies == 4 else []), arcs[0].poles[0]]
+        cuts = [line(a, b) for a, b in zip(stops[:-1], stops[1:])]
+        arcs, rounds = [*arcs, *cuts], [*rounds, *[None] * len(cuts)]
+    return Path(tuple(arcs), centre, r, rounds=tuple(rounds))
 
 
 def plate_paths(plate: Plate, scale: float) -> tuple[Path, ...]:
@@ -138,7 +151,7 @@ def plate_paths(plate: Plate, scale: float) -> tuple[Path, ...]:
         Path(
             tuple(_arc(edge * scale, edge[SENSE]) for edge in loop),
             np.zeros(2),
-            None,
+            0.0,
             touched=False,
             rounds=tuple(_round(edge * scale, edge[SENSE]) for edge in loop),
         )

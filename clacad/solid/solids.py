@@ -189,7 +189,7 @@ def describe_layers(
     shells = Shells(writer, merge, split=hollow)
     rim = -1 if outline is None else shells.owner()
     centre = parts[0].shift if len(parts) == 1 and not isinstance(outline, Plate) else np.zeros(2)
-    path = None if outline is None else outline_path(outline, scale, centre)
+    path = None if outline is None else outline_path(outline, scale, centre, lattice.copies)
     tilings = []
     for part in parts:
         if path is not None and isinstance(outline, Circle | Rectangle):  # a plate keeps no cell that it cuts

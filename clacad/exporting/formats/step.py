@@ -78,10 +78,15 @@ def _at_a_glance(window: Window, sheet: RoughSheet, _chosen: ChosenMesh | None) 
 
 
 def _row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:
+    from clacad.sheet.representative_cells import sectors_of
+
     columns = window.lattice.cell_count * len(window.bodies)
     if mode == "fused":
         each = 250_000 if window.uniform else 50_000  # non-uniform: cells are described one by one
         memory = (400_000_000, 900_000_000 + each * columns)
+    elif not window.uniform:
+        columns //= sectors_of(window)
+        memory = (300_000_000, 900_000_000 + 50_000 * columns)
     else:
         written_out = columns if window.lattice.outline is not None else 0  # else rows stay rows
         memory = (250_000_000, 700_000_000 + 100 * size + 1000 * written_out)
@@ -95,14 +100,16 @@ def step_bytes(window: Window, mode: Literal["fused", "instanced"], pcurves: boo
     from clacad.formats.step.step_files import step_text_length
     from clacad.sheet.like_cell import like_cell
     from clacad.sheet.plate import Plate
-    from clacad.sheet.representative_cells import representative_cells
+    from clacad.sheet.representative_cells import representative_cells, sectors_of
 
     n1, n2 = window.lattice.count
     if max(n1, n2) <= 8:
         return step_text_length(window, mode, pcurves)
     if not window.uniform:  # the same number of cells like the outermost one, each written out
         like = like_cell(window, representative_cells(window, "displaced")[0])
-        return int(OWN_CELLS * step_bytes(like, "fused", pcurves))
+        return int(OWN_CELLS * step_bytes(like, "fused", pcurves)) // (
+            1 if mode == "fused" else sectors_of(window)
+        )
     if isinstance(window.outline, Plate):
         return _plate_step_bytes(window, window.outline, mode, pcurves)
     if window.lattice.outline is not None:  # a disc: its border is written piece by piece in either mode

@@ -33,6 +33,9 @@ MOVED = 1e-7
 LOST = 128.0 * 2.0**-52
 """Relative to the farthest coordinates: more than the rounding of five positions, of eight each."""
 
+TURNS = 8
+"""Copies of a part, turned, up to which every lens of each is compared with the design by its points."""
+
 Cell = tuple[int, int]
 
 
@@ -58,7 +61,8 @@ def lens_facts(window: Window, lenses: LensPoints, parts: Sequence[Placements]) 
     for number, placements, mine in groups:
         if not len(mine.part) or not len(placements):
             continue
-        chosen = _sampled(placements, len(mine.part))
+        few = len(placements) <= TURNS and not placements.unturned
+        chosen = np.arange(len(placements)) if few else _sampled(placements, len(mine.part))
         seen = measured(window, mine, placements.at(chosen))
         real = np.asarray((seen.face >= 0).any(axis=0), dtype=np.bool_)
         if not real.any():
@@ -68,6 +72,8 @@ def lens_facts(window: Window, lenses: LensPoints, parts: Sequence[Placements]) 
         slope = max(slope, float(seen.slope[:, real].max()))
         if number < 0:
             board.take_once(seen, mine.part, real)
+        elif few:
+            board.take_turned(seen, placements, mine.part, real)
         else:
             board.take(seen, placements, chosen, real)
         owners |= _owners(window, seen.face[:, real].max(axis=0) // 2, mine.part[real])
@@ -213,7 +219,29 @@ class _Board:
         table[tuple((self._cells - self._low).T)] = np.arange(len(self._cells))
         return table
 
-    def take_once(self, seen: LensErrors, part: Ints, real: NDArray[np.bool_]) -> None:
+    def take_turned(
+        self, seen: LensErrors, placements: Placements, part: Ints, real: NDArray[np.bool_]
+    ) -> None:
+        """Count the lenses of one part with few placements, each as it is; the part (p,) of every patch."""
+        for copy in range(len(placements)):
+            one = LensErrors(*(array[copy : copy + 1] for array in vars(seen).values()))
+            self.take_once(one, part, real, repeated=True)
+        self._instances += len(placements)
+        best = int(np.argmin(np.where(real, seen.error, 0.0).max(axis=1)))
+        rows = np.flatnonzero(real & (seen.face[best] >= 0))
+        apart, moved = seen.cell[best, rows] - seen.cell[best, rows[0]], np.zeros(len(placements))
+        for row in (rows[0], rows[int(np.argmax((apart**2).sum(axis=1)))]):
+            face, (i, j) = int(seen.face[best, row]), seen.cell[best, row].tolist()
+            array = self._window.faces[face].array
+            assert array is not None
+            index, away = _Copies(self._window, placements, best, array, (i, j)).each
+            moved, worst = np.maximum(moved, away), int(np.argmax(away))
+            self._farthest(face, float(away[worst]), (int(index[worst, 0]), int(index[worst, 1])))
+        self._moved += int((moved > MOVED * min(self._window.lattice.pitch) * self._scale).sum())
+
+    def take_once(
+        self, seen: LensErrors, part: Ints, real: NDArray[np.bool_], repeated: bool = False
+    ) -> None:
         """Count the lenses of parts that have one placement each; the part (p,) of every patch."""
         rows = np.flatnonzero(real & (seen.face[0] >= 0))
         keys = np.column_stack([part[rows], seen.face[0, rows], seen.cell[0, rows]])
@@ -223,7 +251,7 @@ class _Board:
         away = np.maximum.reduceat(error, starts)
         for face in np.unique(keys[:, 1]).tolist():
             mine = keys[starts, 1] == face
-            self._count(face, keys[starts][mine, 2:], away[mine], repeated=False)
+            self._count(face, keys[starts][mine, 2:], away[mine], repeated)
 
     def take(self, seen: LensErrors, placements: Placements, chosen: Ints, real: NDArray[np.bool_]) -> None:
         """Count the lenses of one repeated part in all its placements."""

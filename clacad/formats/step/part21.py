@@ -69,23 +69,25 @@ def weight(value: float) -> str:
 
 
 def chosen_mode(window: Window, mode: Mode) -> Literal["fused", "instanced"]:
-    """Resolve mode "auto"; a non-uniform sheet has no cell to repeat.
+    """Resolve mode "auto"; a non-uniform sheet has no cell to repeat, but may have a sector.
 
-    Raises CellsDiffer: An assembly is requested for such a sheet.
+    Raises CellsDiffer: An assembly is requested for a sheet that has neither.
     """
     if mode not in ("auto", "fused", "instanced"):
         raise ValueError(f"STEP mode must be auto, fused or instanced, not {mode!r}")
-    if not window.uniform:
-        if mode == "instanced":
-            from clacad.sheet.need_window import need_equal_cells
+    from clacad.sheet.representative_cells import sectors_of
 
-            need_equal_cells(
-                window, "a STEP assembly of one cell and its places", "fused is one solid of all of them"
-            )
+    if mode == "auto" and window.lattice.cell_count <= FUSED_CELLS:
         return "fused"
-    if mode == "auto":
-        return "fused" if window.lattice.cell_count <= FUSED_CELLS else "instanced"
-    return mode
+    if window.uniform or (mode != "fused" and sectors_of(window) > 1):
+        return "instanced" if mode == "auto" else mode
+    if mode == "instanced":
+        from clacad.sheet.need_window import need_equal_cells
+
+        need_equal_cells(
+            window, "a STEP assembly of one cell and its places", "fused is one solid of all of them"
+        )
+    return "fused"
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,10 +180,13 @@ class Part21:
         """Write (x, y, z)."""
         return f"({','.join([self.coordinate(value) for value in point])})"
 
-    def placement(self, point: Floats) -> int:
-        """An unrotated placement at a point."""
+    def placement(self, point: Floats, across: tuple[float, float] = (1.0, 0.0)) -> int:
+        """A placement at a point, its x axis along `across` (2,), unit."""
         at = self.add(f"CARTESIAN_POINT('',{self.coordinates(point.tolist())})")
-        return self.add(f"AXIS2_PLACEMENT_3D('',#{at},#{self.up},#{self.across})")
+        x = self.across
+        if across != (1.0, 0.0):
+            x = self.add(f"DIRECTION('',({real(across[0])},{real(across[1])},0.))")
+        return self.add(f"AXIS2_PLACEMENT_3D('',#{at},#{self.up},#{x})")
 
     # -- products ---------------------------------------------------------------------------------
 

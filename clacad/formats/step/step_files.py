@@ -23,6 +23,7 @@ from clacad.formats.step.part21 import Mode, Part21, StepColour, chosen_mode
 from clacad.formats.step.read_back import read_step
 from clacad.formats.step.shell_text import TextWriter
 from clacad.sheet.face_order import plates_of
+from clacad.sheet.representative_cells import sector
 from clacad.sheet.window import Body, Window
 from clacad.solid.shells import MERGE, ShellCounts, Shells
 from clacad.solid.solids import describe_body, describe_layers, layers, middle_plane, single
@@ -53,7 +54,7 @@ def write_step(
 
     path : Written in place; publish it atomically from outside.
     mode : "auto", "fused" or "instanced". fused: one closed solid per connected piece; instanced: an assembly
-        cell → row → body of touching solids; auto: fused up to 2500 cells.
+        cell → row → body of touching solids, or sector → body where cells differ; auto: fused up to 2500 cells.
     schema : "AP242" or "AP214"
     pcurves : Write the exact parameter curves (fused). Without them files shrink and readers recompute them.
     merge : mm. Heights closer than this are merged (see `describe_body`).
@@ -263,7 +264,10 @@ def _instanced_body(
 
     A slab whose arrays are displaced has no common cell. It is cut at a plane half way into cells of the
     front array and cells of the back array, which touch there and together are exactly the slab.
+    A non-uniform sheet has no common cell either: its sector is placed turned about the axis.
     """
+    if not window.uniform:
+        return _turned_body(window, body, part, pcurves, merge, colour)
     scale = millimetres(window.unit)
     parts = layers(window, body, middle_plane(body, window))
     placed: list[tuple[Part, Floats, str]] = []
@@ -292,6 +296,25 @@ def _instanced_body(
             solids += len(rims)
             placed.append((product, np.zeros(2), f"{name} border"))
     return _facts(body.name, solids, counts, parts), _assembled(part, body.name, placed), styles
+
+
+def _turned_body(
+    window: Window, body: Body, part: Part21, pcurves: bool, merge: float, colour: StepColour
+) -> tuple[dict[str, Any], Part, list[int]]:
+    """One body as an assembly of turned copies of its first sector, which touch."""
+    first = sector(window)
+    copies, writer, counts = first.lattice.copies, SheetWriter(part, pcurves), ShellCounts()
+    shells = describe_body(first, body, writer, merge)
+    numbers = _solids(writer, shells, f"{body.name} sector")
+    product = part.product(f"{body.name} sector", [part.origin, *numbers], _BREP)
+    _add_counts(counts, shells.counts, copies)
+    ways = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[:: 4 // copies]
+    spots = [part.placement(np.zeros(3), way) for way in ways]
+    whole = part.product(body.name, [part.origin, *spots], "SHAPE_REPRESENTATION")
+    for n, spot in enumerate(spots):
+        part.component(whole, product, f"{body.name} sector {n + 1}", spot)
+    facts = _facts(body.name, len(numbers) * copies, counts, layers(first, body))
+    return facts, whole, _coloured(part, writer, shells, numbers, colour)
 
 
 def _add_counts(total: ShellCounts, counts: ShellCounts, times: int) -> None:

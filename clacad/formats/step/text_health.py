@@ -396,6 +396,10 @@ def _surface(scan: StepScan, number: int, body: str, references: list[int]) -> N
     scan.patches[number] = (array("q", references), (m, n), weights)
 
 
+FEW = 4
+"""Placements of a part, such as turned sectors of a sheet, up to which its patches are looked up in each."""
+
+
 @dataclass(frozen=True, eq=False)
 class Patches:
     """Bézier patches of one degree, of faces that have placements.
@@ -404,31 +408,31 @@ class Patches:
     weights : (k, m, n)
     sense : (k,). −1 where the face is oriented against du × dv.
     part : (k,). Their part, an index into `StepScan.parts`.
-    alone : (k,). Whether the part has one placement.
-    first : (k, 3, 4). First placement of the part.
+    few : (k,). Whether the part has at most `FEW` placements.
+    first : (s, k, 3, 4). First placements of the part, the last of them repeated.
     """
 
     poles: Floats
     weights: Floats
     sense: Floats
     part: NDArray[np.int64]
-    alone: NDArray[np.bool_]
+    few: NDArray[np.bool_]
     first: Floats
 
     @cached_property
     def span(self) -> tuple[Floats, Floats, Floats]:
-        """Middles (k, 3) of the boxes of poles, half diagonals (k,), and middles in the first placement."""
+        """Middles (k, 3) of the boxes of poles, half diagonals (k,), and middles in the first placements."""
         low, high = self.poles.min(axis=(1, 2)), self.poles.max(axis=(1, 2))
         middle = 0.5 * (low + high)
-        placed = np.einsum("kij,kj->ki", self.first[:, :, :3], middle) + self.first[:, :, 3]
+        placed = np.einsum("skij,kj->ski", self.first[..., :3], middle) + self.first[..., 3]
         return middle, 0.5 * np.linalg.norm(high - low, axis=1), placed
 
     def near(self, low: Floats, high: Floats) -> NDArray[np.int64]:
         """Rows of the patches that may reach into a column low … high (2,) of x and y."""
         _, reach, placed = self.span
         room = reach[:, None]
-        inside = ((placed[:, :2] > low - room) & (placed[:, :2] < high + room)).all(axis=1)
-        return np.flatnonzero(inside | ~self.alone)
+        inside = ((placed[..., :2] > low - room) & (placed[..., :2] < high + room)).all(axis=2).any(axis=0)
+        return np.flatnonzero(inside | ~self.few)
 
 
 def _patches_of(scan: StepScan) -> list[Patches]:
@@ -457,9 +461,15 @@ def _gathered(
     poles = points.values[points.rows(numbers.ravel())].reshape(-1, *shape, 3) * unit[:, None, None, None]
     weights = np.array([scan.patches[surface][2] for surface, _, _ in rows]).reshape(-1, *shape)
     placements = [one.placements for one in scan.parts]
-    alone = np.array([len(some) == 1 for some in placements])[part]
-    first = np.array([some.one(0) if len(some) else UNPLACED for some in placements])[part]
-    return Patches(poles, weights, np.array([sense for _, sense, _ in rows]), part, alone, first)
+    few = np.array([len(some) <= FEW for some in placements])[part]
+    most = max(1, min(FEW, max(map(len, placements))))
+    first = np.array(
+        [
+            [some.one(min(n, len(some) - 1)) if len(some) else UNPLACED for some in placements]
+            for n in range(most)
+        ]
+    )[:, part]
+    return Patches(poles, weights, np.array([sense for _, sense, _ in rows]), part, few, first)
 
 
 def patch_points(scan: StepScan, per_side: int = 3) -> LensPoints:
