@@ -103,8 +103,8 @@ class Lattice(Pattern):
     turn : float, radians
         Rotation of the whole pattern about its centre, from +x to +y; 0 for a pattern with an outline.
     copies : 1, 2 or 4
-        Above 1: only cells of the first half turn (y > 0) or quarter turn (x, y > 0) are kept; with the others
-        turned about the origin they are the whole pattern but a cell at its centre.
+        Above 1: only cells of the first half (y > 0) or quarter (x, y > 0) are kept; with their turned copies
+        they are the whole pattern, less a cell at its centre.
     """
 
     kind: Kind

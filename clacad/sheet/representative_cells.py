@@ -90,7 +90,7 @@ _TURNED: WeakKeyDictionary[Window, int] = WeakKeyDictionary()
 def turned_alike(window: Window) -> int:
     """Number of turns about the sheet's axis, 4, 2 or 1, after which every cell is again the same piece.
 
-    Whether a hole, or a border that is not centred, breaks the symmetry is not asked, see `sectors_of`.
+    Outlines of the bodies and marks may break the symmetry of a sheet, see `sectors_of`.
     """
     if window not in _TURNED:
         found = (copies for copies in (4, 2) if _alike_after(window, copies))

@@ -54,7 +54,8 @@ def write_step(
 
     path : Written in place; publish it atomically from outside.
     mode : "auto", "fused" or "instanced". fused: one closed solid per connected piece; instanced: an assembly
-        cell → row → body of touching solids, or sector → body where cells differ; auto: fused up to 2500 cells.
+        cell → row → body of touching solids, sector → body of a non-uniform sheet; auto: fused up to 2500
+        cells.
     schema : "AP242" or "AP214"
     pcurves : Write the exact parameter curves (fused). Without them files shrink and readers recompute them.
     merge : mm. Heights closer than this are merged (see `describe_body`).
