@@ -240,7 +240,7 @@ SUFFICIENT = 1e-9
 """Relative error per face requested of its Gauss-Kronrod quadrature of a volume; that of a sheet: 1e-10."""
 
 ROUNDED = 2e4
-"""Relative errors of rounded heights below which that quadrature, which then does not end, is not asked to
+"""Relative errors of rounded heights below which that quadrature, which then does not end, need not
 err: far from the origin (1 km off, heights of .01 mm have lost 8 digits)."""
 
 
