@@ -9,6 +9,8 @@ import sys
 def main() -> None:
     """Run the command line and leave with its status."""
     status = None
+    # matrices are small here: more threads of linear algebra only wait for one another
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         import signal
 

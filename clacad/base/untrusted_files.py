@@ -190,7 +190,20 @@ def without_settings(library: str) -> ModuleType:
         module = import_module(library)
     if library == "numba":
         module.core.config._config_fname = ""  # numba looks again at each compilation
+        _without_blas()
     return module
+
+
+def _without_blas() -> None:
+    """Let numba load SciPy's linear algebra (.3 s) with the first kernel that uses it, not with any kernel."""
+    linalg: Any = import_module("numba.np.linalg")
+    check = linalg.ensure_blas
+
+    def ensure() -> None:
+        if hasattr(sys.modules.get("numba.np.arraymath"), "_HAVE_BLAS"):  # else it is being loaded
+            check()
+
+    linalg.ensure_blas = ensure
 
 
 def array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:

@@ -212,7 +212,7 @@ def _law_of_growth(coarse: int, fine: int) -> tuple[float, float]:
     return square, coarse / small - small * square
 
 
-def chosen_quads(grader: Grader, request: Request, formats: Sequence[str]) -> dict[str, int]:
+def chosen_quads(grader: Grader, sizes: Sizes, request: Request, formats: Sequence[str]) -> dict[str, int]:
     """Facet grid of each mesh format: as requested, by slope error, or by the light through it.
 
     Without a request it is the coarsest grid that makes a master within the limits of facets and bytes. If
@@ -222,7 +222,6 @@ def chosen_quads(grader: Grader, request: Request, formats: Sequence[str]) -> di
     Raises LimitRefused: The facets for the requested slope error exceed the limits.
     """
     chosen: dict[str, int] = {}
-    sizes = Sizes(grader.meshes)
     for name in formats:
         if not format_of(name).is_mesh:
             continue
@@ -248,7 +247,7 @@ def default_meshes(design: Design, window: Window, formats: Sequence[str]) -> di
     sizes = Sizes(grader.meshes)
     return {
         name: ChosenMesh(quads, sizes.facets(name, quads), sizes.bytes(name, quads))
-        for name, quads in chosen_quads(grader, DEFAULTS, formats).items()
+        for name, quads in chosen_quads(grader, sizes, DEFAULTS, formats).items()
     }
 
 
@@ -268,12 +267,13 @@ def _master(grader: Grader, sizes: Sizes, format: str) -> int | None:
     return grader.least(finest)
 
 
-def with_prospects(grader: Grader, rows: Sequence[Forecast], request: Request) -> list[Forecast]:
+def with_prospects(
+    grader: Grader, sizes: Sizes, rows: Sequence[Forecast], request: Request
+) -> list[Forecast]:
     """Rows of a forecast with the role of each file and the forecast of the light through it.
 
     A preview whose facets were chosen by default counts as declared: no master of that format was requested.
     """
-    sizes = Sizes(grader.meshes)
     return [replace(row, prospect=_prospect(grader, sizes, row, request)) for row in rows]
 
 

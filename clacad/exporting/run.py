@@ -30,7 +30,7 @@ from clacad.exporting.formats.registry import format_of, known
 from clacad.exporting.light_forecast import Grader
 from clacad.exporting.limits import Refusals, refuse_idle, require_possible
 from clacad.exporting.manifest import FileRecord, Job, Manifest, carried_over, document
-from clacad.exporting.quads_and_roles import asked_quads, asked_roles, chosen_quads, with_prospects
+from clacad.exporting.quads_and_roles import Sizes, asked_quads, asked_roles, chosen_quads, with_prospects
 from clacad.exporting.request import DEFAULTS, OPTIONS, MoreOptions, Request
 from clacad.exporting.roles import Role
 from clacad.exporting.tessellations import Meshes
@@ -205,14 +205,14 @@ def _forecast(
     """
     if where is not None:
         require_folder(where[0])
-    grader = Grader.of(meshes, design)
+    grader, sizes = Grader.of(meshes, design), Sizes(meshes)
     refused = Refusals() if where is None else _impossible(design, meshes.window, formats, request, where[1])
     for name in () if where is None else formats:
         with refused.of(name):
             one = format_of(name)
             if one.refuse_places is not None and one.repeats_cells(meshes):
                 one.refuse_places(meshes.window, request)
-    rows = _priced(grader, tuple(name for name in formats if name not in refused), request, refused)
+    rows = _priced(grader, sizes, [name for name in formats if name not in refused], request, refused)
     if where is not None and not request.force:
         for row in rows:
             with refused.of(row.format):
@@ -220,15 +220,17 @@ def _forecast(
         if not refused:
             limits.refuse_over_limits(meshes.window, rows, where[0])  # the disk holds all of them
     refused.complete()
-    return with_prospects(grader, rows, request)
+    return with_prospects(grader, sizes, rows, request)
 
 
-def _priced(grader: Grader, formats: tuple[str, ...], request: Request, refused: Refusals) -> list[Forecast]:
+def _priced(
+    grader: Grader, sizes: Sizes, formats: Sequence[str], request: Request, refused: Refusals
+) -> list[Forecast]:
     """Rows of the formats whose bodies can be made; the others are refused."""
     quads: dict[str, int] = {}
     cut = [name for name in formats if format_of(name).is_mesh]
     with refused.of(*cut):
-        quads = chosen_quads(grader, request, cut)
+        quads = chosen_quads(grader, sizes, request, cut)
     rows: list[Forecast] = []
     for name in formats:
         if name not in refused:

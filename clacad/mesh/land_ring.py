@@ -5,6 +5,7 @@ outline.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from math import ceil, pi, sin, sqrt
 from typing import TYPE_CHECKING
 
@@ -70,6 +71,7 @@ class Tiled:
         return [(self.own.rare.at((i, j)), self.own.rare.body_at((i, j))) for i, j in cells.tolist()]
 
 
+Point = tuple[float, float]
 Key = tuple[int, int, int]  # owner cell i, j and canonical point; outline corners are (−1, n, −1)
 
 _TOUCH = 8.0 * 2.0**-23  # relative to the sheet: smaller gaps than a float32 file can hold count as none
@@ -198,18 +200,16 @@ def make_land(window: Window, tiled: Tiled, centre: tuple[float, float]) -> Land
     directed: list[tuple[Key, Key]] = []  # land on the left
     touching: dict[tuple[Key, Key], tuple[int, int, int, int]] = {}
     edge = boundary(window.lattice)
-    makers = tiled.edge_makers(edge)
-    round_ = len(polygon) > FEW
-    for i, j, k in edge:
-        points = _side_points(tiled, makers[i, j], (i, j, k))
-        keys = list(points)
-        position |= {key: at for key, at in points.items() if key not in position}
-        ends = np.array([position[keys[0]], position[keys[-1]]])
-        if not free and not round_ and len(_on_side(polygon, ends, scale)):
-            for n, (a, b) in enumerate(zip(keys[:-1], keys[1:])):
+    few = not free and len(polygon) <= FEW
+    for (i, j, k), (keys, places) in zip(edge, _side_points(tiled, edge), strict=True):
+        for key, at in zip(keys, places):
+            position.setdefault(key, at)
+        ends = np.array([position[keys[0]], position[keys[-1]]]) if few else None
+        if ends is not None and len(_on_side(polygon, ends, scale)):
+            for n, (a, b) in enumerate(pairwise(keys)):
                 touching[a, b] = (i, j, k, n)
         else:
-            directed += [(b, a) for a, b in zip(keys[:-1], keys[1:])]
+            directed += zip(keys[1:], keys)
     if free:
         rim = _free_rim(loops, position)
     else:
@@ -222,19 +222,22 @@ def make_land(window: Window, tiled: Tiled, centre: tuple[float, float]) -> Land
     return LandRing(keys, position, triangulate_loops(rings, number, position), rim)
 
 
-def _side_points(
-    tiled: Tiled, maker: TemplateMaker, at: tuple[int, int, int]
-) -> dict[Key, tuple[float, float]]:
-    """Points of side k of cell i, j, keyed by the cell that owns each: x, y on the sheet (lengths)."""
-    (i, j, k), shift = at, tiled.shift
-    side = maker.tile.plan.sides[k]
-    owner = maker.places[0][side] + (i, j)
-    point = maker.places[1][side].tolist()
-    centres = tiled.lattice.centres(owner)
-    return {
-        (*step, p): (float(c[0] + shift[0] + x), float(c[1] + shift[1] + y))
-        for step, p, c, (x, y) in zip(owner.tolist(), point, centres, maker.xy[side])
-    }
+def _side_points(tiled: Tiled, edge: list[tuple[int, int, int]]) -> list[tuple[list[Key], list[Point]]]:
+    """Points of sides (i, j, k), each with the key of the cell that owns it: x, y on the sheet (lengths)."""
+    makers, alike = tiled.edge_makers(edge), dict[tuple[int, int], list[int]]()
+    for n, (i, j, k) in enumerate(edge):
+        alike.setdefault((id(makers[i, j]), k), []).append(n)
+    found: dict[int, tuple[list[Key], list[Point]]] = {}
+    for numbers in alike.values():
+        i, j, k = edge[numbers[0]]
+        maker = makers[i, j]
+        side = maker.tile.plan.sides[k]
+        point = maker.places[1][side].tolist()
+        owner = maker.places[0][side] + np.array([edge[n][:2] for n in numbers])[:, None]
+        place = tiled.lattice.centres(owner) + np.array(tiled.shift) + maker.xy[side]
+        for n, cells, at in zip(numbers, owner.tolist(), place.tolist()):
+            found[n] = ([(*cell, p) for cell, p in zip(cells, point)], [(x, y) for x, y in at])
+    return [found[n] for n in range(len(edge))]
 
 
 def _on_side(polygon: Floats, points: Floats, scale: float) -> Ints:

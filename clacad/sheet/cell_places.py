@@ -461,8 +461,9 @@ def extreme_cells(change: VertexChange, lattice: Lattice) -> Ints:
 
 def row_ends(lattice: Lattice) -> Ints:
     """List the first and last kept cell of every row, (m, 2): extremes of affine functions are there."""
-    ends = [row[[0, -1]] for j in range(lattice.count[1]) if len(row := lattice.row(j))]
-    return np.unique(np.concatenate(ends), axis=0)
+    cells = lattice.cells()
+    last = np.flatnonzero(np.diff(cells[:, 1], append=-1))
+    return np.unique(cells[[0, *(last[:-1] + 1), *last]], axis=0)
 
 
 def centre_pairs(lattice: Lattice, cell: Ints) -> tuple[Pair, Pair]:

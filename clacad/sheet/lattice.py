@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -87,7 +88,7 @@ def _half_sizes(outline: Outline) -> tuple[float, float]:
     return 0.5 * outline.width, 0.5 * outline.height
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Lattice(Pattern):
     """A finite pattern of identical cells whose mean centre is the origin.
 
@@ -142,8 +143,18 @@ class Lattice(Pattern):
 
     def cells(self) -> Ints:
         """List the kept cells, row by row, as (n, 2) indices."""
-        found = [np.empty((0, 2), dtype=np.int64), *_blocks(self)]
-        return np.concatenate(found)
+        return _of_rows(self, np.arange(self.count[1], dtype=np.int64)) if self._whole else self._selected
+
+    @property
+    def _whole(self) -> bool:
+        return self.outline is None and self.copies == 1
+
+    @cached_property
+    def _selected(self) -> Ints:
+        """The cells that an outline or a sector keeps, found once, read-only."""
+        found = np.concatenate([np.empty((0, 2), dtype=np.int64), *_blocks(self)])
+        found.flags.writeable = False
+        return found
 
     def row(self, j: int) -> Ints:
         """List the kept cells of row j as (n, 2) indices."""
@@ -152,9 +163,7 @@ class Lattice(Pattern):
     @property
     def cell_count(self) -> int:
         """Number of kept cells."""
-        if self.outline is None and self.copies == 1:
-            return self.count[0] * self.count[1]
-        return sum(map(len, _blocks(self)))
+        return self.count[0] * self.count[1] if self._whole else len(self._selected)
 
     @property
     def holds_a_cell(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import product
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 from OCP.Bnd import Bnd_Box
 from OCP.BRep import BRep_Builder
-from OCP.BRepAdaptor import BRepAdaptor_Surface
+from OCP.BRepAdaptor import BRepAdaptor_Curve2d, BRepAdaptor_Surface
 from OCP.BRepBndLib import BRepBndLib
 from OCP.BRepCheck import BRepCheck_Analyzer
 from OCP.BRepGProp import BRepGProp
@@ -26,9 +27,10 @@ from OCP.collections import (
 )
 from OCP.Geom import Geom_BSplineCurve, Geom_BSplineSurface, Geom_Line, Geom_Plane
 from OCP.Geom2d import Geom2d_BSplineCurve
+from OCP.GeomAbs import GeomAbs_BSplineCurve, GeomAbs_BSplineSurface
 from OCP.gp import gp_Ax3, gp_Dir, gp_Pln, gp_Pnt, gp_Pnt2d, gp_Trsf, gp_Vec
 from OCP.GProp import GProp_GProps
-from OCP.TopAbs import TopAbs_FACE, TopAbs_FORWARD, TopAbs_REVERSED
+from OCP.TopAbs import TopAbs_EDGE, TopAbs_FACE, TopAbs_FORWARD, TopAbs_REVERSED
 from OCP.TopExp import TopExp_Explorer
 from OCP.TopLoc import TopLoc_Location
 from OCP.TopoDS import (
@@ -244,24 +246,72 @@ ROUNDED = 2e4
 err: far from the origin (1 km off, heights of .01 mm have lost 8 digits)."""
 
 
-def volume(shape: Any) -> float:
-    """Volume over a plane below by OCCT's Gauss-Kronrod quadrature, mm³, without walls along z: they have
-    no part in it, and the quadrature of nothing but rounding errors does not end.
+SPLIT = 4096.0
+"""Spacings of doubles by which x and y may differ in faces that are alike: what rounding leaves of a move."""
 
-    Its adaptive one errs, without reporting that, by 5e-9 over steep conics and walls that end in a point,
-    and by 1e-5 where many splines bound a plane. The shape is moved down to the plane z = 0: the sign with
-    which OCCT takes the height of another plane is wrong, which costs digits.
+
+def volume_and_area(shape: Any) -> tuple[float, float]:
+    """Volume over a plane below by OCCT's Gauss-Kronrod quadrature, mm³, and area, mm².
+
+    Faces that are alike are integrated once. Walls along z have no part in the volume: the quadrature of
+    nothing but rounding errors does not end. The adaptive one errs, without reporting that, by 5e-9 over
+    steep conics and walls that end in a point, and by 1e-5 where many splines bound a plane. The shape is
+    moved down to the plane z = 0: the sign with which OCCT takes the height of another plane is wrong, which
+    costs digits.
     """
-    ground, parts, down = gp_Pln(gp_Pnt(0.0, 0.0, 0.0), gp_Dir(0.0, 0.0, 1.0)), [], gp_Trsf()
-    low, high = (corner[2] for corner in box(shape))
-    down.SetTranslation(gp_Vec(0.0, 0.0, -low))
-    relative = max(SUFFICIENT, ROUNDED * float(np.spacing(max(-low, high))) / (high - low))
-    for face in explored(shape.Moved(TopLoc_Location(down)), TopAbs_FACE):
+    corners = np.array(box(shape))
+    (low, high), reach = corners[:, 2], float(np.spacing(np.abs(corners).max()))
+    ground, down = gp_Pln(gp_Pnt(0.0, 0.0, 0.0), gp_Dir(0.0, 0.0, 1.0)), gp_Trsf()
+    down.SetTranslation(gp_Vec(0.0, 0.0, -float(low)))
+    relative = max(SUFFICIENT, ROUNDED * float(np.spacing(max(-low, high))) / float(high - low))
+    volumes, areas = [], []
+    for face, many in _alike(shape, SPLIT * reach):
+        areas.append(many * surface_area(face))
         if not _along_z(BRepAdaptor_Surface(face)):
             properties = GProp_GProps()
-            BRepGProp.VolumePropertiesGK_s(face, properties, ground, relative)
-            parts.append(properties.Mass())
-    return fsum(parts)
+            moved = TopoDS.Face(face.Moved(TopLoc_Location(down)))
+            BRepGProp.VolumePropertiesGK_s(moved, properties, ground, relative)
+            volumes.append(many * properties.Mass())
+    return fsum(volumes), fsum(areas)
+
+
+def _alike(shape: Any, grain: float) -> list[tuple[Any, int]]:
+    """Faces of a shape, each once with the number of those that differ from it by a move across z alone."""
+    faces, first = explored(shape, TopAbs_FACE), dict[Any, int]()
+    number = [first.setdefault(_form(face, grain) or n, n) for n, face in enumerate(faces)]
+    return [(faces[n], many) for n, many in Counter(number).items()]
+
+
+def _form(face: Any, grain: float) -> tuple[Any, ...] | None:
+    """What faces that are alike have in common: poles, x and y from the first, in grains (mm), weights, and
+    parameter curves. None for a face that is no Bézier patch trimmed by Bézier curves.
+    """
+    adapted = BRepAdaptor_Surface(face)
+    if adapted.GetType() != GeomAbs_BSplineSurface:
+        return None
+    patch, curves = adapted.BSpline(), []
+    if (patch.NbUKnots(), patch.NbVKnots()) != (2, 2):
+        return None
+    for edge in explored(face, TopAbs_EDGE):
+        trim = BRepAdaptor_Curve2d(TopoDS.Edge(edge), face)
+        if trim.GetType() != GeomAbs_BSplineCurve or (curve := trim.BSpline()).NbKnots() != 2:
+            return None
+        poles = [(curve.Pole(n), curve.Weight(n)) for n in range(1, curve.NbPoles() + 1)]
+        ends = trim.FirstParameter(), trim.LastParameter(), curve.Knot(1), curve.Knot(2)
+        curves.append((edge.Orientation(), ends, tuple((p.X(), p.Y(), weight) for p, weight in poles)))
+    places = list(product(range(1, patch.NbUPoles() + 1), range(1, patch.NbVPoles() + 1)))
+    points = [patch.Pole(*at) for at in places]
+    x, y = points[0].X(), points[0].Y()
+    across = tuple((round((p.X() - x) / grain), round((p.Y() - y) / grain), p.Z()) for p in points)
+    knots = tuple(knot(n) for knot in (patch.UKnot, patch.VKnot) for n in (1, 2))
+    return (
+        face.Orientation(),
+        places[-1],
+        across,
+        knots,
+        tuple(patch.Weight(*at) for at in places),
+        tuple(curves),
+    )
 
 
 def _along_z(surface: Any) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 
 import mpmath as mp
@@ -59,7 +60,7 @@ def test_a_body_of_loose_strips_is_a_compound():
 @pytest.mark.slow
 def test_a_volume_over_steep_conics_is_that_of_a_double_integral():
     """Plate 1 of the f/5 scanner: OCC's adaptive quadrature alone errs by 5e-9 there, and states 1e-12."""
-    from clacad.solid.occ_writer import volume
+    from clacad.solid.occ_writer import volume_and_area
 
     design = Design.from_dict(tomllib.loads(template("scanner", "scanner-f5"))).replace(
         "lattice.count", [1, 1]
@@ -76,5 +77,38 @@ def test_a_volume_over_steep_conics_is_that_of_a_double_integral():
         return 4 * mp.quad(sag, [0, half], [0, half])
 
     exact = mp.mpf(back.z) * 4 * half * half + under(back) - under(front)
-    found = volume(solids(prescribe(design))[0].wrapped)
+    found, _ = volume_and_area(solids(prescribe(design))[0].wrapped)
     assert found == pytest.approx(float(exact), rel=1e-12)
+
+
+def test_faces_that_are_alike_are_integrated_once_and_a_spoilt_one_by_itself(tmp_path):
+    """Volume and area of a sheet of equal lenses are OCC's own sums over all its faces."""
+    from OCP.BRepGProp import BRepGProp
+    from OCP.GProp import GProp_GProps
+
+    from clacad.formats.step.read_back import occ_shape
+    from clacad.formats.step.step_files import write_step
+    from clacad.solid.occ_writer import _alike, volume_and_area
+
+    def measured(path):
+        shape, volume, area = occ_shape(path), GProp_GProps(), GProp_GProps()
+        BRepGProp.VolumeProperties_s(shape, volume, 1e-12)
+        BRepGProp.SurfaceProperties_s(shape, area, 1e-12)
+        assert volume_and_area(shape) == pytest.approx((volume.Mass(), area.Mass()), rel=1e-9)
+        found = _alike(shape, 1e-11)
+        return len(found), sum(many for _, many in found), volume_and_area(shape)[0]
+
+    window = prescribe(Design.from_dict(tomllib.loads(template("slab"))).replace("lattice.count", [4, 4]))
+    write_step(window, tmp_path / "whole.step", "fused")
+    few, faces, volume = measured(tmp_path / "whole.step")
+    assert (few, faces) == (2 + 16, 32 + 16)  # a lens of each face, and walls
+    text = (tmp_path / "whole.step").read_text()
+    patch = re.search(r"B_SPLINE_SURFACE\w*\((?:'',)?\d+,\d+,\(\([#\d,]+\),\(#\d+,#(\d+)", text)
+    pole = re.search(rf"#{patch[1]}=CARTESIAN_POINT\('',\(([^,]+),([^,]+),([^)]+)\)\)", text)
+    spoilt = pole[0].replace(pole[3], f"{float(pole[3]) + 1e-3:.17g}")
+    (tmp_path / "spoilt.step").write_text(text.replace(pole[0], spoilt))
+    few, faces, other = measured(tmp_path / "spoilt.step")
+    assert (few, faces) == (3 + 16, 32 + 16)
+    assert abs(other - volume) == pytest.approx(
+        1e-3 * 0.5**2 / 7**2, rel=1e-6
+    )  # a pole of 7 x 7 over .5 x .5 mm

@@ -281,20 +281,17 @@ def sampled_lenses(several: list[ShapePart], window: Window, lens_faces: int, po
     }
 
 
-def layer_volumes(several: list[ShapePart], window: Window) -> dict[str, float]:
+def layer_volumes(solids: Sequence[ShapePart], volumes: Sequence[float], window: Window) -> dict[str, float]:
     """Volume (mm³) of each body of a window of which solids are there: those whose middle lies between its
-    neighbours.
+    neighbours; `volumes`: of each solid, mm³.
     """
     from clacad.sheet.feasibility.lenses import whole_body_range
-    from clacad.solid.occ_writer import box, volume
+    from clacad.solid.occ_writer import box
 
     ranges = [whole_body_range(window, body) for body in window.bodies]
     levels = [0.5 * (below[1] + above[0]) * millimetres(window.unit) for below, above in pairwise(ranges)]
     found: dict[str, float] = {}
-    for piece in several:
-        if not piece.solid:
-            continue
-        each = volume(piece.shape)
+    for piece, each in zip(solids, volumes, strict=True):
         for turn, moves in turns(piece.placements.all()):
             middle = np.array(box(moved(piece.shape, turn)))[:, 2].mean() + moves[:, 2]
             for number, many in zip(*np.unique(np.searchsorted(levels, middle), return_counts=True)):

@@ -197,10 +197,11 @@ def _occ_facts(
     """Facts that OCC finds in a file (mm); with a window its sampled lens faces are compared with that."""
     from OCP.ShapeAnalysis import ShapeAnalysis_ShapeTolerance
 
-    from clacad.solid.occ_writer import is_valid, surface_area, volume
+    from clacad.solid.occ_writer import is_valid, volume_and_area
 
     several = loaded(path).pieces if place is None else place.of_pieces(loaded(path).pieces)
     solids = [piece for piece in several if piece.solid]
+    sizes = [volume_and_area(piece.shape) for piece in solids]
     many = [len(piece.placements) for piece in several]
     faces = sum(len(piece.faces) * k for piece, k in zip(several, many, strict=True))
     if not faces:
@@ -215,8 +216,8 @@ def _occ_facts(
         "valid": all(is_valid(piece.shape) for piece in solids),
         "kernel_solids": count,
         "kernel_faces": faces,
-        "volume": sum(volume(piece.shape) * len(piece.placements) for piece in solids),
-        "area": sum(surface_area(piece.shape) * len(piece.placements) for piece in solids),
+        "volume": sum(each * len(piece.placements) for (each, _), piece in zip(sizes, solids, strict=True)),
+        "area": sum(each * len(piece.placements) for (_, each), piece in zip(sizes, solids, strict=True)),
         "box": whole_box(several),
         "tolerance": max(tolerance.Tolerance(piece.shape, 1) for piece in several),
         "holds": _held(
@@ -230,7 +231,7 @@ def _occ_facts(
     if window is not None:
         facts |= sampled_lenses(several, window, lens_faces, points) | {"engraved": engraved}
         if any(body.joined for body in window.bodies):
-            facts["volumes"] = layer_volumes(several, window)
+            facts["volumes"] = layer_volumes(solids, [each for each, _ in sizes], window)
     return facts
 
 
