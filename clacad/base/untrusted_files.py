@@ -195,7 +195,7 @@ def without_settings(library: str) -> ModuleType:
 
 
 def _without_blas() -> None:
-    """Let numba load SciPy's linear algebra (.3 s) with the first kernel that uses it, not with any kernel."""
+    """Let numba load SciPy's linear algebra (.3 s) with the first kernel that uses it, not with any."""
     linalg: Any = import_module("numba.np.linalg")
     check = linalg.ensure_blas
 
