@@ -143,11 +143,9 @@ class Lattice(Pattern):
 
     def cells(self) -> Ints:
         """List the kept cells, row by row, as (n, 2) indices."""
-        return _of_rows(self, np.arange(self.count[1], dtype=np.int64)) if self._whole else self._selected
-
-    @property
-    def _whole(self) -> bool:
-        return self.outline is None and self.copies == 1
+        if self.outline is None and self.copies == 1:
+            return _of_rows(self, np.arange(self.count[1], dtype=np.int64))
+        return self._selected
 
     @cached_property
     def _selected(self) -> Ints:
@@ -163,7 +161,9 @@ class Lattice(Pattern):
     @property
     def cell_count(self) -> int:
         """Number of kept cells."""
-        return self.count[0] * self.count[1] if self._whole else len(self._selected)
+        if self.outline is None and self.copies == 1:
+            return self.count[0] * self.count[1]
+        return len(self._selected)
 
     @property
     def holds_a_cell(self) -> bool:
