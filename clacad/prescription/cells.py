@@ -40,7 +40,7 @@ from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.asked_cells import cell_laws
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.optics.law.focusing import ratios_of, refract_each
-from clacad.optics.surface import EvenPolynomial, Quadric
+from clacad.optics.surface import Quadric
 from clacad.prescription.aimed_cells import STEEPEST, AimPoint, aimed
 from clacad.prescription.bodies import FieldCells
 from clacad.prescription.field_lens import FieldOfCells, plate_of_cells, plates_of_cells, symmetric_foci
@@ -557,13 +557,12 @@ def _refuse_axes(window: Window, sizes: Floats, laws: CellLaws) -> None:
         )
     if np.array_equal(sizes[..., 0], sizes[..., 1]):
         return
-    even = any(isinstance(face.surface, EvenPolynomial) for face in window.faces)
-    if even or window.field_array:
+    if window.field_array:
         raise NoSuchLens(
             "cells with an eta_x and an eta_y each have lenses of their own along both axes: "
-            + ("given even terms state one form" if even else "each would need two foci for its field lens"),
+            "each would need two foci for its field lens",
             SIZES_KEY,
-            "faces without a4, a6 and a8" if even else "field_lens = false, or one eta for both axes",
+            "field_lens = false, or one eta for both axes",
             "CL127",
         )
 

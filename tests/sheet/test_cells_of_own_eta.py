@@ -450,17 +450,40 @@ def test_turned_lenses_that_a_shrinkage_would_deform_are_refused(tmp_path):
         bent_window(window, 1e-4)
 
 
-def test_two_numbers_of_a_cell_that_have_no_field_lens_or_no_form_are_refused(tmp_path):
-    even = {"radius": 2.468, "a4": [1e-4, 2e-4, 1e-4]}
-    for keys, word in (
-        ({"pair__field_lens": True, "pair__field": {"gap": 0.5}, "pair__surface": None}, "two foci"),
-        ({"pair__prescription": "given", "pair__face": [even, even], "pair__surface": None}, "even terms"),
-    ):
-        with pytest.raises(clacad.DesignError) as caught:
-            built(tmp_path, BOTH, still, **keys)
-        (mistake,) = caught.value.mistakes
-        assert mistake.code == "CL127"
-        assert word in mistake.message
+EVEN = [
+    {"radius": 2.468, "conic": -0.5, "a4": [1e-2, 3e-2, 2e-2], "a6": [1e-2, 2e-2, 0, 3e-2]},
+    {"radius": 2.468, "a4": [2e-2] * 3, "a8": [1e-2, 0, 3e-2, 0, 2e-2]},
+]
+"""Faces with terms of all orders, of lens 1 and of lens 2."""
+GIVEN_EVEN = {"pair__prescription": "given", "pair__face": EVEN, "pair__surface": None}
+
+
+def test_given_terms_of_two_eta_are_along_each_axis_those_of_the_lens_scaled_for_that_axis(tmp_path):
+    """In 50 digits: k h(x/k) along x and along y, and lenses of one k as one of one eta has them."""
+    window = built(tmp_path, BOTH, still, pair__offset="paraxial", **GIVEN_EVEN)
+    (body,) = window.bodies
+    with mpmath.workdps(50):
+        for cell in window.lattice.cells()[::5]:
+            eta = [mpmath.mpf(one) for one in BOTH(*cell)]
+            for lens, (face, given) in enumerate(zip((body.front, body.back), EVEN, strict=True)):
+                conic = mpmath.mpf(given.get("conic", 0))
+                for axis in (0, 1):
+                    k = 2 / (1 - eta[axis]) * (1 if lens == 0 else -eta[axis])
+                    at = mpmath.mpf("0.21") / k
+                    bent = at**2 / mpmath.mpf(given["radius"])
+                    root = mpmath.sqrt(1 - (1 + conic) * (at / mpmath.mpf(given["radius"])) ** 2)
+                    terms = [given.get(name, [0])[-axis] for name in ("a4", "a6", "a8")]
+                    rise = bent / (1 + root) + sum(
+                        mpmath.mpf(t) * at ** (4 + 2 * j) for j, t in enumerate(terms)
+                    )
+                    x, y = np.array([[0.21], [0.0]])[:: 1 - 2 * axis]
+                    found = face_height(window, face, x, y, cell[None]) - face.vertex[2]
+                    assert abs(found[0] - face.side * k * rise) < 4e-15
+    alike = built(tmp_path, across(WIDELY, WIDELY), still, pair__offset="paraxial", **GIVEN_EVEN)
+    one = built(tmp_path, WIDELY, still, pair__offset="paraxial", **GIVEN_EVEN)
+    for cell in one.lattice.cells()[::5]:
+        for a, b in zip(alike.faces, one.faces, strict=True):
+            assert alike.in_cell(a, cell).surface == one.in_cell(b, cell).surface
 
 
 def test_a_table_that_has_the_eta_of_the_law_in_every_cell_makes_the_sheet_of_that_law(tmp_path):
