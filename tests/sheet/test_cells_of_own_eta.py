@@ -16,6 +16,7 @@ from clacad.mesh import check_closed, tessellate
 from clacad.mesh.body_mesh import facet_tags
 from clacad.mesh.cell_template import BACK, FRONT
 from clacad.optics.rays import Fate
+from clacad.prescription.field_lens import toric
 from clacad.sheet.cell_heights import highest_step
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.like_cell import like_cell
@@ -151,29 +152,72 @@ LENSED = {
 }  # fmt: skip
 
 
+MILD = across(spread(-0.95, -1.1), spread(-1.15, -1.0))
+"""η along both axes of a cell; where both are near -1 one focus may lie before or behind the other."""
+LENSED_OF_TWO = {
+    "two axes": {}, "two axes, law of two": {"law__eta": [-1.0, -1.1], "pair__field": {"gap": 0.7}},
+    "two axes, hexagonal": {"lattice__kind": "hexagonal"}, "two axes, aimed": {"lattice__aperture": {"point": [3, 2, -300]}},
+    "two axes, plano": FORMS["plano"], "two axes, curved inside": FORMS["plano, curved inside"],
+    "two axes, biconvex": FORMS["biconvex"], "two axes, biconvex, law of two": {**FORMS["biconvex"], "law__eta": [-1.0, -1.1]},
+    "two axes, steered plano": {**FORMS["plano"], "lattice__aperture": [0.02, -0.01]},
+    "two axes, turned": {"turn": turned}, "two axes, turned plano": {**FORMS["plano"], "turn": turned},
+    "turned": {"eta": None, "law__eta": [-1.0, -1.1], "turn": turned}, "two axes, phi": {"law__euler": [25, 0, 0]},
+}  # fmt: skip
+"""As `LENSED`, with an η along each lens axis."""
+
+
 def field_design(folder, form, delta=sloping, **more):
-    keys = {"pair__field_lens": True, **LENSED[form], "pair__surface": None, **more}
-    return design(folder, spread(-0.9, -1.2), delta, **keys)
+    own = (LENSED | LENSED_OF_TWO)[form]
+    keys = {"eta": MILD if form in LENSED_OF_TWO else spread(-0.9, -1.2), "pair__field_lens": True, **own}
+    return design(folder, delta=delta, **{**keys, "pair__surface": None, **more})
 
 
-@pytest.mark.parametrize("form", LENSED)
+@pytest.mark.parametrize("form", [*LENSED, *LENSED_OF_TWO])
 def test_the_field_lens_of_each_cell_images_its_lens_1_onto_its_lens_2_and_leaves_its_law(tmp_path, form):
     """By the product of the matrices of its faces, from the plane of lens 1 to that of lens 2."""
     window = clacad.prescribe(field_design(tmp_path, form))
     for cell in window.lattice.cells():
-        eta = window.law_at(cell).eta_x
-        (_, images), (bends, magnifies) = matrix(window, cell)
-        assert abs(bends) < 1e-15
-        assert magnifies == pytest.approx(1.0 / eta, rel=1e-14)
-        if form not in ("curved inside", "biconvex"):  # their first and last face is not in the lens plane
-            assert abs(images) < 1e-14
+        for axis in "xy":
+            eta = getattr(window.law_at(cell), f"eta_{axis}")
+            (_, images), (bends, magnifies) = matrix(window, cell, axis)
+            assert abs(bends) < (1e-15 if form in LENSED else 1e-14)
+            assert magnifies == pytest.approx(1.0 / eta, rel=1e-14 if form in LENSED else 4e-14)
+            if "inside" not in form and "biconvex" not in form:  # whose end faces are not in the lens plane
+                assert abs(images) < 1e-13
     faces = [face for face in window.faces if face.array == 2]
-    for face in faces:
+    for face in faces[: None if form in LENSED else 0]:
         assert np.ptp(window.vertices(face, window.lattice.cells())[:, 2]) > 0.5
 
 
+def test_two_field_faces_are_the_crossed_cylinders_at_the_distance_of_their_foci(tmp_path):
+    """In 50 digits, for every η: afocal with η, lens 1 imaged onto lens 2; at that distance one power of each is 0."""
+    etas = np.array([[-0.5, -1.0], [-1.0 - 1e-12, -1.0], [-2.0, -0.7], [-0.3, -0.9]])
+    first = 10.0 / (1.0 - etas)
+    near, far = first.min(axis=1, keepdims=True), 10.0 - first.max(axis=1, keepdims=True)
+    for wider in (1.0, 1.3):
+        gap = wider * (10.0 - near - far)
+        ends = near - 0.5 * (gap - gap / wider), far - 0.5 * (gap - gap / wider)
+        focal, power = toric(etas, ends[0], gap, ends[1])
+        with mpmath.workdps(50):
+            for k, axis in np.ndindex(4, 2):
+                legs = [mpmath.mpf(float(one[k, 0])) for one in (ends[0], gap, ends[1])]
+                total = mpmath.matrix([[1, 0], [-1 / mpmath.mpf(focal[0, k, axis]), 1]])
+                for leg, bends in zip(
+                    legs, (*power[:, k, axis], 1 / mpmath.mpf(focal[1, k, axis])), strict=True
+                ):
+                    total = mpmath.matrix([[1, 0], [-bends, 1]]) * mpmath.matrix([[1, leg], [0, 1]]) * total
+                rounding = 1e-14 * (1 + 10 / legs[1])
+                assert abs(total[1, 0]) < rounding
+                assert abs(total[0, 1]) < 100 * rounding
+                assert abs(total[1, 1] * etas[k, axis] - 1) < 10 * rounding
+        if wider == 1.0:
+            assert np.sort(np.abs(power), axis=0)[0][[0, 2, 3]].max() < 1e-14
+            whole = 1.0 / first - 1.0 / (etas * first)
+            assert power.sum(axis=0)[[0, 2, 3]] == pytest.approx(whole[[0, 2, 3]], rel=1e-12)
+
+
 @pytest.mark.parametrize("offset", ["traced", "paraxial"])
-@pytest.mark.parametrize("form", LENSED)
+@pytest.mark.parametrize("form", [*LENSED, *LENSED_OF_TWO])
 def test_light_through_a_field_lens_of_each_cell_leaves_by_the_law_of_that_cell(tmp_path, form, offset):
     window = clacad.prescribe(field_design(tmp_path, form, pair__offset=offset))
     cells = window.lattice.cells()
@@ -429,16 +473,26 @@ def test_neighbours_whose_turns_differ_by_rounding_have_lenses_that_do(tmp_path)
     assert abs(step - highest_step(one, one.bodies[0]).height) < 1e-14
 
 
-def test_turned_cells_of_a_tilted_law_and_across_the_cylinders_of_a_field_lens_are_refused(tmp_path):
-    for keys, code, word in (
-        ({"law__euler": [20, 3, 0]}, "CL124", "lean towards another side"),
-        ({"law__eta": [-0.8, -1.3], "pair__surface": None, "pair__field_lens": True}, "CL127", "cylinders"),
-    ):
-        with pytest.raises(clacad.DesignError) as caught:
-            built(tmp_path, None, still, turned, **keys)
-        (mistake,) = caught.value.mistakes
-        assert mistake.code == code
-        assert word in mistake.message
+def test_turned_cells_of_a_tilted_law_are_refused(tmp_path):
+    with pytest.raises(clacad.DesignError, match="CL124") as caught:
+        built(tmp_path, None, still, turned, law__euler=[20, 3, 0])
+    assert "lean towards another side" in caught.value.mistakes[0].message
+
+
+def test_foci_too_far_apart_for_two_plates_are_refused_with_the_gap_that_works(tmp_path):
+    """A face of a field lens is plane where it has the place of the focus of the other axis."""
+    keys = {"pair__field_lens": True, "pair__surface": None, "lattice__count": [3, 3]}
+    with pytest.raises(clacad.DesignError, match="CL129") as caught:
+        built(tmp_path, MILD, still, pair__field={"gap": 0.3}, **keys)
+    (mistake,) = caught.value.mistakes
+    assert "cell (" in mistake.message
+    gap = float(mistake.hint.split("gap > ")[1].split(",")[0])
+    window = built(tmp_path, MILD, still, pair__field={"gap": 1.001 * gap}, **keys)
+    curved = [
+        getattr(window.in_cell(face, cell).surface, f"curvature_{axis}")
+        for face in window.faces for cell in window.lattice.cells() for axis in "xy" if face.array == 2
+    ]  # fmt: skip
+    assert 0.0 < min(curved) < 3e-3 * max(curved)
 
 
 def test_turned_lenses_that_a_shrinkage_would_deform_are_refused(tmp_path):
