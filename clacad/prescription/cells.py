@@ -545,11 +545,11 @@ def _with_plates(
 ) -> tuple[Floats, Floats, FieldOfCells]:
     """As `CellSizes` of cells with field lenses: scale factors of lenses, of δ, and the field lenses.
 
-    Raises NoSuchLens: Lenses are tilted or given; the plates of two neighbours would touch; a field lens
+    Raises NoSuchLens: Lenses are tilted; the plates of two neighbours would touch; a field lens
         ends inside its cell, or its plate has no thickness.
     """
     recipe, told, every = window.recipe, window.recipe["field"], np.concatenate([[window.law.eta_x], etas])
-    _refuse_given(design, window)
+    _refuse_tilted(window)
     index, separation = recipe["n"], recipe["s"]
     if "gap" in told:
         focal, field = plates_of_cells(every, separation, told["gap"], index)
@@ -571,12 +571,20 @@ def _with_plates(
 def _with_toric(
     window: Window, design: Design, cells: Ints, every: Floats, thick: bool
 ) -> tuple[Floats, Floats, FieldOfCells]:
-    """As `_with_plates`, with power of their own along both lens axes; `every` (1 + n, 2): η of law and cells.
+    """As `_with_plates`, with power of their own along both lens axes; `every` (1 + n, 2): of law, cells.
 
     Thick lenses lie at their principal planes, which follow from their radii and these from the planes.
     """
     recipe, told, index = window.recipe, window.recipe["field"], window.recipe["n"]
-    _refuse_given(design, window)
+    _refuse_tilted(window)
+    if design.pair.given:
+        raise NoSuchLens(
+            "eta_x and eta_y of each cell with a field lens: both its faces have power along both axes, which"
+            " pair.face of one eta does not state",
+            SIZES_KEY,
+            'one column eta, or prescription = "derived"',
+            "CL127",
+        )
     separation, reach, plates = recipe["s"], np.array(told["reach"]), "gap" in told
     gap = told["gap"] if plates else told["thickness"] / index
     rise = (mean := mean_focus(every, separation)) - mean[0]
@@ -639,14 +647,14 @@ def _refuse_hollow(window: Window, cells: Ints, every: Floats, gap: float) -> No
         )
 
 
-def _refuse_given(design: Design, window: Window) -> None:
-    """Refuse given or tilted lenses behind field lenses of their own."""
-    if design.pair.given or window.law.theta != 0.0:
+def _refuse_tilted(window: Window) -> None:
+    """Refuse tilted lenses, whose foci do not lie on the line between their cells."""
+    if window.law.theta != 0.0:
         raise NoSuchLens(
-            "field lenses of cells with an eta each lie at a focus of each cell:"
-            + (" given faces state one place for all" if design.pair.given else " tilted ones are not made"),
+            f"theta = {np.degrees(window.law.theta):g} deg and an eta of each cell: field lenses at foci of"
+            " different depths along tilted axes are not made",
             SIZES_KEY,
-            'prescription = "derived"' if design.pair.given else "theta = 0",
+            "theta = 0, or one eta for all cells",
             "CL127",
         )
 
@@ -772,8 +780,9 @@ def _refuse_field(window: Window, cells: Ints, etas: Floats, field: FieldOfCells
     faces, reach = [face for face in window.faces if face.array == FIELD], window.lattice.circumradius
     plate = 0.0 if len(faces) > 1 else float(window.recipe["field"]["thickness"])
     for face, size, lift in zip(faces, field.size / field.sharper, field.lift):
-        assert isinstance(face.surface, Quadric)  # given ones are refused
-        curvature, kappa = face.surface.curvature_x / size[1:], max(face.surface.kappa, 0.0) / size[1:]
+        shape = face.surface
+        bend = shape.kappa if isinstance(shape, Quadric) else (1.0 + shape.conic_x) * shape.curvature_x
+        curvature, kappa = shape.curvature_x / size[1:], max(bend, 0.0) / size[1:]
         thin = plate > 0.0 and plate - lift[1:] <= 0.5 * curvature * reach**2
         bad = np.flatnonzero((curvature * kappa * reach**2 > 1.0) | thin)
         if len(bad):

@@ -455,7 +455,7 @@ def split_plate(intent: Intent, etas: Floats, f1: float, glass: Pair2, place: fl
     left = min(room[0] + float(rise.min()), room[1] - float(rise.max())) - half
     if left <= 0.0:
         raise NoSuchLens(
-            f"there is no room for the field plate, {thick:.4g} thick for foci up to {2.0 * half / ROOM:.4g} apart:"
+            f"there is no room for the field plate, {thick:.4g} thick for foci {2.0 * half / ROOM:.4g} apart:"
             f" it would reach {-left:.4g} into a lens",
             key=PAIR.separation,
             hint="a larger separation, thinner lenses, or an eta_x nearer to eta_y",

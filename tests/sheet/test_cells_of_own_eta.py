@@ -12,10 +12,12 @@ from scipy.integrate import dblquad
 import clacad
 from clacad.base.sobol import sobol
 from clacad.design.combinations import REASONS
+from clacad.design.faces import face_table
 from clacad.mesh import check_closed, tessellate
 from clacad.mesh.body_mesh import facet_tags
 from clacad.mesh.cell_template import BACK, FRONT
 from clacad.optics.rays import Fate
+from clacad.prescription.bodies import face_spec
 from clacad.prescription.field_lens import toric
 from clacad.sheet.cell_heights import highest_step
 from clacad.sheet.feasibility import feasibility
@@ -150,6 +152,25 @@ LENSED = {
     "aimed": {"pair__field": {"gap": 0.5}, "lattice__aperture": {"point": [3, 2, -300]}},
     "steered plano": {**FORMS["plano"], "lattice__aperture": [0.02, -0.01]},
 }  # fmt: skip
+
+
+@pytest.mark.parametrize("form", ["two plates", "plano", "biconvex"])
+def test_given_faces_behind_field_lenses_are_scaled_as_those_that_are_derived(tmp_path, form):
+    """Given as they were derived for the law's eta, with tables of the same cells."""
+    derived = clacad.prescribe(field_design(tmp_path, form, still, pair__offset="paraxial"))
+    faces = [face_table(face_spec(face.surface)) for face in derived.faces]
+    keys = {"pair__prescription": "given", "pair__face": faces, "pair__offset": "paraxial"}
+    if form != "two plates":
+        keys["pair__thickness"] = list(derived.recipe["T"])
+    given = clacad.prescribe(field_design(tmp_path, form, still, **keys))
+    x, y = np.array([0.1, 0.2]), np.array([-0.2, 0.05])
+    for cell in derived.lattice.cells()[::4]:
+        for one, other in zip(derived.faces, given.faces, strict=True):
+            here, there = (lens_height(w.in_cell(f, cell), x, y) for w, f in ((derived, one), (given, other)))
+            assert np.abs(here - there).max() < 1e-16
+    both = field_design(tmp_path, form, still, **keys, eta=MILD)
+    with pytest.raises(clacad.DesignError, match="CL127"):
+        clacad.prescribe(both)
 
 
 MILD = across(spread(-0.95, -1.1), spread(-1.15, -1.0))
@@ -732,18 +753,23 @@ PRESENT = {
 }  # fmt: skip
 
 
+ONE_OR_TWO = {"one": spread(-0.9, -1.3), "two": across(spread(-0.95, -1.2), spread(-1.15, -1.0))}
+
+
 @pytest.mark.parametrize(
-    ("feature", "turn"),
+    ("feature", "turn", "etas"),
     [
-        (feature, turn)
+        (feature, turn, etas)
         for feature in PRESENT
         for turn in (None, slightly)
+        for etas in ONE_OR_TWO
         if turn is None or feature != "tilt"
     ],
 )
-def test_each_feature_works_with_a_table_of_eta_and_one_of_turns(tmp_path, feature, turn):
+def test_each_feature_works_with_a_table_of_eta_and_one_of_turns(tmp_path, feature, turn, etas):
     assert ("law.varying", feature) not in REASONS
-    made = design(tmp_path, spread(-0.9, -1.3), turn=turn, **PRESENT[feature])
+    keys = {} if feature != "field lens" or etas == "one" else {"pair__field": {"gap": 0.8}}
+    made = design(tmp_path, ONE_OR_TWO[etas], turn=turn, **PRESENT[feature] | keys)
     window = clacad.prescribe(made)
     assert window.many_sizes
     slope = np.divide(window.thin.shift, window.thin.offset[2])
