@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
-from clacad.design.asked_cells import cell_laws
+from clacad.design.asked_cells import cell_laws, cut_across
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.optics.law.focusing import ratios_of, refract_each
 from clacad.optics.surface import Quadric
@@ -139,8 +139,10 @@ def with_own_cells(window: Window, design: Design, field: FieldCells | None = No
     """
     inclined = design.pair.focus is not None and window.law.theta != 0.0
     varying, offset = design.law_spec.varying is not None or inclined, design.pair.offset
+    alike = cut_across(design)
     aims = isinstance(design.lattice.aperture, AimedAt)
     traced = offset == "traced" or (offset is None and (varying or aims))
+    varying = varying or alike
     if varying or (traced and aims):
         _refuse_many(design.lattice.count, aims)
     if varying:

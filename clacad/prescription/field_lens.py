@@ -27,7 +27,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.base.vectors import xy
-from clacad.design.asked_cells import cell_laws, lattice_of
+from clacad.design.asked_cells import cell_laws, cut_across, lattice_of
 from clacad.design.process_profiles import profile
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.design.varying import Planes
@@ -302,7 +302,8 @@ def etas_along_axes(design: Design) -> Floats | None:
     lens axes; None: they have one η, or cylinders that follow the law.
     """
     varying, law = design.law_spec.varying, design.law_spec.eta
-    if not design.pair.field_lens or varying is None or varying.table is None:
+    tabled = varying is not None and varying.table is not None
+    if not design.pair.field_lens or not (tabled or cut_across(design)):
         return None
     laws, lattice = cell_laws(design), lattice_of(design)
     etas = laws.ratios_of(lattice, lattice.cells())

@@ -210,6 +210,43 @@ def test_the_field_lens_of_each_cell_images_its_lens_1_onto_its_lens_2_and_leave
         assert np.ptp(window.vertices(face, window.lattice.cells())[:, 2]) > 0.5
 
 
+CUT_ACROSS = {
+    "hexagonal": {"lattice__kind": "hexagonal"}, "turned": {"law__euler": [30, 0, 0]}, "aimed": {"lattice__kind": "hexagonal", "lattice__aperture": {"point": [3, 2, -300]}},
+    "hexagonal plano": {**FORMS["plano"], "lattice__kind": "hexagonal"}, "turned biconvex": {**FORMS["biconvex"], "law__euler": [0, 0, 50]},
+    "baffle": {**FORMS["plano"], "body__baffle": True, "body__baffle_wall": 0.02}, "best": {"lattice__kind": "hexagonal", "pair__confocal": "best"},
+}  # fmt: skip
+"""Sheets of one law of two η whose cells would cut across cylinders, or whose baffle would interrupt them."""
+
+
+@pytest.mark.parametrize("form", CUT_ACROSS)
+def test_one_law_of_two_eta_whose_cells_would_cut_cylinders_has_field_faces_curved_along_both(tmp_path, form):
+    """By matrices along both axes, and as the sheet of a table with these numbers in every cell."""
+    keys = {
+        "law__eta": [-1.0, -1.1],
+        "pair__field_lens": True,
+        "pair__surface": None,
+        "pair__offset": "paraxial",
+    }
+    keys |= CUT_ACROSS[form] | {"lattice__count": [4, 3]}
+    made = design(tmp_path, across(lambda i, j: -1.0, lambda i, j: -1.1), still, **keys)
+    raw = made.to_dict()
+    del raw["law"]["varying"]
+    own, one = clacad.prescribe(clacad.Design.from_dict(raw)), clacad.prescribe(made)
+    for cell in own.lattice.cells()[::3]:
+        for axis, eta in zip("xy", (-1.0, -1.1), strict=True):
+            (_, _), (bends, magnifies) = matrix(own, cell, axis)
+            if form != "best":
+                assert abs(bends) < 1e-14
+                assert magnifies == pytest.approx(1.0 / eta, rel=1e-13)
+        for face, other in zip(own.faces, one.faces, strict=True):
+            assert own.in_cell(face, cell).surface == one.in_cell(other, cell).surface
+    cells, ray = own.lattice.cells(), np.array([*aperture_slopes(own, own.lattice.cells()[:1])[0], 1.0])
+    start = np.column_stack([own.lattice.centres(cells) + [0.02, 0.01], np.zeros(len(cells))]) - ray
+    seen = clacad.trace(own, clacad.Rays(start, ray))
+    exact = np.array([own.law.refract(ray)] * len(cells))
+    assert np.abs(seen.direction - exact).max() < 4e-4
+
+
 def test_two_field_faces_are_the_crossed_cylinders_at_the_distance_of_their_foci(tmp_path):
     """In 50 digits, for every η: afocal with η, lens 1 imaged onto lens 2; at that distance one power of each is 0."""
     etas = np.array([[-0.5, -1.0], [-1.0 - 1e-12, -1.0], [-2.0, -0.7], [-0.3, -0.9]])
