@@ -433,8 +433,8 @@ def _cylinders_are_made(a: Asked, form: str, euler: tuple[float, float, float]) 
     for key, what in ((key, what) for given, key, what in why if given and other):
         yield Mistake(
             "CL127",
-            f"eta_x and eta_y differ, {what} and {other[0]}: both faces of the field lens are curved along both"
-            f" axes and lens 2 follows its cell by another part along each, which {other[0]} does not know",
+            f"eta_x and eta_y differ, {what} and {other[0]}: both faces of the field lens are curved along"
+            f" both axes and lens 2 follows its cell by another part along each, which {other[0]} does not know",
             key,
             allowed=f"without {other[0]}, or eta_x = eta_y",
             hint=f"eta_x = eta_y, or leave {other[0]} out",
