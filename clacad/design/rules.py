@@ -434,7 +434,7 @@ def _cylinders_are_made(a: Asked, form: str, euler: tuple[float, float, float]) 
         yield Mistake(
             "CL127",
             f"eta_x and eta_y differ, {what} and {other[0]}: both faces of the field lens are curved along"
-            f" both axes and lens 2 follows its cell by another part along each, which {other[0]} does not know",
+            f" both axes and lens 2 follows its cell by another part along each, unknown to {other[0]}",
             key,
             allowed=f"without {other[0]}, or eta_x = eta_y",
             hint=f"eta_x = eta_y, or leave {other[0]} out",
