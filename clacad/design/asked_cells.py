@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
+from clacad.design.body import BodySpec
 from clacad.design.cell_table import read_table
 from clacad.design.sections import LatticeSpec, LawSpec, PairSpec
 from clacad.design.varying import Planes, gradient_of
@@ -36,6 +37,10 @@ class Requested(Protocol):
         """Section [lattice]."""
 
     @property
+    def body(self) -> BodySpec:
+        """Section [body]."""
+
+    @property
     def path(self) -> str:
         """Name of the file, "" without one."""
 
@@ -56,7 +61,10 @@ def cell_laws(design: Requested) -> CellLaws:
     Raises DesignError: The table cannot be read.
     """
     law, spec = design.law, design.law_spec.varying
+    alike = _alike(design, design.law_spec.eta) if cut_across(design) else None
     if spec is None:
+        if alike is not None:
+            return CellLaws(law, table=_alike(design, design.law_spec.delta), ratios=alike)
         if design.pair.focus is None or law.theta == 0.0:
             return CellLaws(law)
         return CellLaws(law, table=_inclined_deltas(design, design.pair.focus))
@@ -64,7 +72,8 @@ def cell_laws(design: Requested) -> CellLaws:
         asked = design.law_spec
         found = read_table(design.path, spec.table, lattice_of(design), asked.eta, asked.euler_degrees)
         angles = None if found.euler is None else np.radians(found.euler)
-        return CellLaws(law, table=found.deltas, ratios=found.etas, angles=angles)
+        etas = alike if found.etas is None else found.etas
+        return CellLaws(law, table=found.deltas, ratios=etas, angles=angles)
     if spec.gradient is None and law.theta != 0.0:
         return CellLaws(law, table=_inclined_deltas(design, spec.conjugates, spec.f_image))
     rows = np.array(gradient_of(spec, design.law_spec.eta, design.pair.separation or 0.0))
@@ -72,6 +81,24 @@ def cell_laws(design: Requested) -> CellLaws:
         rows = rows @ law.rotation[:2, :2].T
     (xx, xy), (yx, yy) = rows.tolist()
     return CellLaws(law, ((xx, xy), (yx, yy)))
+
+
+def cut_across(design: Requested) -> bool:
+    """Whether cells would cut across the cylinders of a field lens of two η, or a baffle interrupt them: its
+    faces are then curved along both axes, as those of a table of such cells.
+    """
+    eta, euler = design.law_spec.eta, design.law_spec.euler_degrees
+    if not design.pair.field_lens or eta[0] == eta[1]:
+        return False
+    turned = bool((euler[0] + euler[2]) % 90.0)
+    return turned or design.lattice.kind == "hexagonal" or (design.body.baffle and design.pair.form != "slab")
+
+
+def _alike(design: Requested, numbers: Pair2) -> Floats:
+    """The same two numbers in all cells, as a table (n1, n2, 2)."""
+    lattice = lattice_of(design)
+    cells = lattice.cells()
+    return as_table(lattice, cells, np.tile(numbers, (len(cells), 1)))
 
 
 def _inclined_deltas(design: Requested, planes: Planes | None, f_image: Pair2 | None = None) -> Floats:

@@ -410,25 +410,7 @@ def field_lens_has_a_focus(a: Asked) -> Iterator[Mistake]:
 
 
 def _cylinders_are_made(a: Asked, form: str, euler: tuple[float, float, float]) -> Iterator[Mistake]:
-    """A field lens of two arrays of cylinders needs cells along them, no tilt and no baffle."""
-    if a(LATTICE.kind) == "hexagonal":
-        yield Mistake(
-            "CL127",
-            "eta_x and eta_y differ: the field lens is two arrays of cylinders, which hexagonal cells "
-            "would cut across",
-            LATTICE.kind,
-            allowed="square | rectangular",
-            hint="eta_x = eta_y",
-        )
-    if (angle := euler[0] + euler[2]) % 90.0:
-        yield Mistake(
-            "CL127",
-            f"lenses turned by {angle:g} deg with eta_x and eta_y that differ: cells would cut across "
-            "the cylinders of the field lens",
-            f"{LAW.euler}.0",
-            allowed="phi + psi = 0 deg, or a multiple of 90 deg",
-            hint="eta_x = eta_y, or lenses along the cells",
-        )
+    """Cylinders need no tilt; cells that cut across them need one law and one pitch."""
     if euler[1] != 0.0 and form == "biconvex":
         yield Mistake(
             "CL127",
@@ -438,14 +420,24 @@ def _cylinders_are_made(a: Asked, form: str, euler: tuple[float, float, float]) 
             allowed="theta = 0",
             hint="eta_x = eta_y, or theta = 0",
         )
-    if a(BODY.baffle) and form != "slab":
+    turned = (euler[0] + euler[2]) % 90.0
+    why = (
+        (a(LATTICE.kind) == "hexagonal", LATTICE.kind, "hexagonal cells"),
+        (bool(turned), f"{LAW.euler}.0", f"lenses turned by {turned:g} deg"),
+        (bool(a(BODY.baffle)) and form != "slab", BODY.baffle, "a baffle in the plate"),
+    )
+    varying = a(LAW.varying)
+    other = [key for key in (PAIR.focus, LATTICE.pitch_2, LATTICE.rotation_2) if a(key)]
+    if varying is not None and varying.table is None:
+        other.insert(0, LAW.varying)
+    for key, what in ((key, what) for given, key, what in why if given and other):
         yield Mistake(
             "CL127",
-            "eta_x and eta_y differ: between the two arrays of cylinders light would change its cell "
-            "inside the glass of their plate, where a baffle can have no wall",
-            BODY.baffle,
-            allowed="false",
-            hint="eta_x = eta_y, or no baffle",
+            f"eta_x and eta_y differ, {what} and {other[0]}: both faces of the field lens are curved along"
+            f" both axes and lens 2 follows its cell by another part along each, unknown to {other[0]}",
+            key,
+            allowed=f"without {other[0]}, or eta_x = eta_y",
+            hint=f"eta_x = eta_y, or leave {other[0]} out",
         )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.config.mistakes import DesignError, Mistake
+from clacad.design.asked_cells import cut_across
 from clacad.design.faces import faces_digest
 from clacad.design.sections import LATTICE, AimedAt
 from clacad.prescription.bodies import FieldCells, displacement
@@ -111,6 +112,7 @@ def _non_uniform(design: Design) -> bool:
         isinstance(lattice.aperture, AimedAt)
         or (design.law_spec.varying, design.pair.focus, lattice.pitch_2) != (None, None, None)
         or bool(lattice.rotation_2)
+        or cut_across(design)
     )
 
 

@@ -20,6 +20,7 @@ from math import inf
 import numpy as np
 
 from clacad.base.types import Bools, Floats
+from clacad.design.asked_cells import cut_across
 from clacad.design.sections import AimedAt
 from clacad.optics.fit import AskedLight, law_residuals, minimise
 from clacad.optics.law import angle_between
@@ -29,7 +30,7 @@ from clacad.prescription.bodies import shallower
 from clacad.prescription.cell_heights import window_range
 from clacad.prescription.intent import Intent, untraced
 from clacad.sheet.bundle import RequestedLaw, asked_power, bundle
-from clacad.sheet.like_cell import interfaces
+from clacad.sheet.like_cell import interfaces, like_cell
 from clacad.sheet.window import Window
 
 RAYS = 4096
@@ -48,21 +49,28 @@ def best_scale(intent: Intent, build: Callable[[Intent, float], Window]) -> Wind
     if pair.given or pair.confocal != "best":
         return build(intent, 1.0)
     middle = _of_middle(intent)
-    start = build(middle, 1.0)
+
+    def built(scale: float) -> Window:
+        window = build(middle, scale)
+        cells = window.lattice.cells()
+        return like_cell(window, cells[len(cells) // 2])
+
+    start = built(1.0)
     light = _light(middle, start)
 
     def residuals(scale: Floats) -> Floats:
-        return law_residuals(interfaces(build(middle, float(scale[0]))), light)
+        return law_residuals(interfaces(built(float(scale[0]))), light)
 
     scale = float(minimise(residuals, np.ones(1))[0])
-    end = build(middle, scale)
+    end = built(scale)
     left = {
         "confocal": "best",
         "scale": scale,
         "law_rms_start": float(np.linalg.norm(law_residuals(interfaces(start), light))),
         "law_rms_end": float(np.linalg.norm(law_residuals(interfaces(end), light))),
     }
-    window = end if middle is intent else build(intent, scale)
+    alike = middle is intent and not cut_across(intent.design)
+    window = end if alike else build(intent, scale)
     return replace(window, recipe={**window.recipe, **left})
 
 

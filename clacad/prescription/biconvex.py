@@ -15,8 +15,10 @@ from clacad.prescription.bodies import LensPose, Listed, bodies_of, displacement
 from clacad.prescription.cell_heights import auto_thickness
 from clacad.prescription.field_lens import (
     Chief,
+    etas_along_axes,
     one_plate,
     plate_faces,
+    split_plate,
     starts_aligned,
     symmetric_foci,
 )
@@ -79,11 +81,17 @@ def _with_thickness(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     separation = separation_of(intent)
     lenses = _lenses(intent, separation, thickness).scaled(scale)
     offset = intent.built_offset(lenses)
-    plate, ideal = None, lenses
+    plate, ideal, near = None, lenses, 0.0
     if pair.field_lens:
         ideal = _around_field(intent, lenses, separation, thickness)
         rooms = [symmetric_foci(ideal.radius[k], thickness[k], intent.index) for k in (0, 1)]
-        plate = one_plate(intent, ideal.focal_length, rooms[0], min(rooms[1]) - 0.5 * thickness[1])
+        near, own = min(ideal.focal_length[0]), etas_along_axes(intent.design)
+        if own is None:
+            plate = one_plate(intent, ideal.focal_length, rooms[0], min(rooms[1]) - 0.5 * thickness[1])
+        else:
+            focus = 0.5 * sum(rooms[0])
+            plate = split_plate(intent, own, focus, (0.5 * thickness[0], 0.5 * thickness[1]), focus)
+            near = 0.5 * (sum(ideal.focal_length[0]) - plate.thickness / intent.index)
     lens_2, added = intent.turn @ np.array([*offset, separation]), np.zeros(3)
     moved = displacement(intent.design.lattice.aperture, lens_2[:2], float(lens_2[2]))
     if plate is not None and pair.focus is not None:  # nothing is tilted
@@ -116,7 +124,7 @@ def _with_thickness(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     height = float(relative @ axis) / axis[2]
     reduced = ideal.focal_length[0][0] + ideal.focal_length[1][0]
     chief = Chief.of(intent, (np.array([*moved, height]) @ intent.turn)[:2], reduced)
-    near, through = min(ideal.focal_length[0]), plate.thickness / intent.index
+    through = plate.thickness / intent.index
     legs = ((near, 1.0), (plate.thickness, intent.index), (reduced - near - through, 1.0))
     field, cells = plate_faces(intent, plate, chief, legs, 1)
     bodies = bodies_of(intent.listed([*faces[:2], *field, *faces[2:]]))

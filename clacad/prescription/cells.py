@@ -37,13 +37,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
-from clacad.design.asked_cells import cell_laws
+from clacad.design.asked_cells import cell_laws, cut_across
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.optics.law.focusing import ratios_of, refract_each
-from clacad.optics.surface import EvenPolynomial, Quadric
+from clacad.optics.surface import Quadric
 from clacad.prescription.aimed_cells import STEEPEST, AimPoint, aimed
 from clacad.prescription.bodies import FieldCells
-from clacad.prescription.field_lens import FieldOfCells, plate_of_cells, plates_of_cells, symmetric_foci
+from clacad.prescription.field_lens import (
+    FieldOfCells,
+    etas_along_axes,
+    least_gap,
+    mean_focus,
+    plate_of_cells,
+    plates_of_cells,
+    symmetric_foci,
+    thin_cylinders,
+    toric,
+)
 from clacad.prescription.radii import LensPair, NoSuchLens, biconvex_exact, thin_pair
 from clacad.prescription.sharp_pairs import (
     chief_focal_lengths,
@@ -129,8 +139,10 @@ def with_own_cells(window: Window, design: Design, field: FieldCells | None = No
     """
     inclined = design.pair.focus is not None and window.law.theta != 0.0
     varying, offset = design.law_spec.varying is not None or inclined, design.pair.offset
+    alike = cut_across(design)
     aims = isinstance(design.lattice.aperture, AimedAt)
     traced = offset == "traced" or (offset is None and (varying or aims))
+    varying = varying or alike
     if varying or (traced and aims):
         _refuse_many(design.lattice.count, aims)
     if varying:
@@ -158,7 +170,7 @@ def with_own_cells(window: Window, design: Design, field: FieldCells | None = No
         _refuse_far(placed, targets, table, aims)
     if targets.sizes is not None and targets.sizes.field is not None:
         apart = placed.shifts[1] + _followed(placed.placements[1], placed, targets.cells)
-        table = table + targets.sizes.field.pull[:, None] * apart
+        table = table + _pulled(targets, targets.sizes.field.pull, lens_turn, apart)
         placed = _with_field(placed, targets, targets.sizes.field, apart)
     if traced:
         follow = _followed(placed.placements[1], placed, targets.cells)
@@ -289,9 +301,8 @@ def _light(window: Window, targets: Targets, first: Floats, slope: Pair2, aims: 
         variables.append(targets.turns[:, :2, 0])
     if targets.sizes is not None:
         ratio = np.full((len(targets.cells), 2), ratios_of(window.law)) if etas is None else etas
-        field = None if targets.sizes.field is None else targets.sizes.field.size
         fill = np.minimum(1.0, 1.0 / np.abs(ratio).max(axis=1))
-        own = OwnLenses(*_scales(targets.sizes.built), fill, field, targets.turns)
+        own = OwnLenses(*_scales_of_all(targets.sizes), fill, targets.turns)
     return CellLight(targets.slopes, asked, first, np.column_stack(variables), targets.key, slope, own)
 
 
@@ -335,21 +346,36 @@ def _with_field(window: Window, targets: Targets, field: FieldOfCells, apart: Fl
     """Window with the field faces of each cell; `apart` (n, 2), lengths, from cell 1 to cell 2."""
     rows = iter(range(len(field.size)))
 
+    def table(each: Floats | None, beyond: float) -> Floats | None:
+        return None if each is None else as_table(window.lattice, targets.cells, each, beyond)
+
     def changed(face: Face) -> Face:
         if face.array != FIELD:
             return face
         own, change = next(rows), face.change or VertexChange()
-        moved, size, lift = (
-            as_table(window.lattice, targets.cells, each, beyond)
-            for each, beyond in (
-                (field.share[own][:, None] * apart, 0.0),
-                (field.size[own], 1.0),
-                (field.lift[own], 0.0),
-            )
+        aspect = None if field.aspect is None else field.aspect[own]
+        return replace(
+            face,
+            change=replace(
+                change,
+                table=table(field.share[own][:, None] * apart, 0.0),
+                size=table(field.size[own], 1.0),
+                lift=table(field.lift[own], 0.0),
+                aspect=table(aspect, 1.0),
+                rotation=None if aspect is None else table(targets.turns, 1.0),
+            ),
         )
-        return replace(face, change=replace(change, table=moved, size=size, lift=lift))
 
     return replace(window, bodies=changed_faces(window.bodies, changed))
+
+
+def _pulled(targets: Targets, pull: Floats, turn: Floats, apart: Floats) -> Floats:
+    """Displacement (n, 2) of lenses 2 by `pull` of those of their cells, `apart` (n, 2), lengths."""
+    if pull.ndim == 1:
+        return np.asarray(pull[:, None] * apart)
+    axes = (turn if targets.turns is None else targets.turns)[..., :2, :2]
+    along = pull * np.einsum("...ji,...j->...i", axes, apart)
+    return np.asarray(np.einsum("...ij,...j->...i", axes, along))
 
 
 def _thin_fields(window: Window, targets: Targets) -> tuple[FieldLens, ...]:
@@ -357,16 +383,23 @@ def _thin_fields(window: Window, targets: Targets) -> tuple[FieldLens, ...]:
     pair = window.thin
     if targets.sizes is None or targets.sizes.field is None:
         return pair.field
-    (lens,), cells = pair.field, targets.cells
-    first, second = targets.sizes.thin[..., 0]
-    apart = pair.shift + _followed(pair.second, window, cells)
-    rise = lens.depth * (first - 1.0)
-    change = VertexChange(
-        table=as_table(window.lattice, cells, (rise / pair.separation)[:, None] * apart),
-        size=as_table(window.lattice, cells, first * second, 1.0),
-        lift=as_table(window.lattice, cells, rise),
-    )
-    return (replace(lens, change=change),)
+    cells, apart = targets.cells, pair.shift + _followed(pair.second, window, targets.cells)
+    crossed, turns = targets.sizes.field.aspect is not None, targets.turns
+    turned = None if turns is None or not crossed else as_table(window.lattice, cells, turns, 1.0)
+    made, lenses = [], pair.field
+    if crossed:
+        lenses = thin_cylinders(ratios_of(window.law), pair.separation)
+    for axis, lens in enumerate(lenses):
+        first, second = targets.sizes.thin[..., axis]
+        rise = lens.depth * (first - 1.0)
+        change = VertexChange(
+            table=as_table(window.lattice, cells, (rise / pair.separation)[:, None] * apart),
+            size=as_table(window.lattice, cells, first * second, 1.0),
+            lift=as_table(window.lattice, cells, rise),
+            rotation=turned,
+        )
+        made.append(replace(lens, change=change))
+    return tuple(made)
 
 
 def _thin(window: Window, targets: Targets, inclined: bool) -> ThinPair:
@@ -422,6 +455,21 @@ def _scales(sizes: Floats) -> tuple[Floats, Floats | None]:
     return x, None if np.array_equal(x, y) else x / y
 
 
+def _scales_of_all(sizes: CellSizes) -> tuple[Floats, Floats | None]:
+    """As `_scales`, followed by those of the faces of the field lens."""
+    size, aspect = _scales(sizes.built)
+    field = sizes.field
+    if field is None:
+        return size, aspect
+    if aspect is None and field.aspect is None:
+        return np.concatenate([size, field.size]), None
+    flat = [
+        np.ones_like(one) if each is None else each
+        for one, each in ((size, aspect), (field.size, field.aspect))
+    ]
+    return np.concatenate([size, field.size]), np.concatenate(flat)
+
+
 def _refuse_far(window: Window, targets: Targets, table: Floats, aims: bool) -> None:
     """Refuse a lens whose cell reaches too far from its vertex for its radius, naming the worst."""
     if window.cell_laws is None:
@@ -475,12 +523,14 @@ def sizes_of(window: Window, design: Design, laws: CellLaws) -> CellSizes:
     cells = window.lattice.cells()
     etas = laws.ratios_of(window.lattice, cells)
     thin, thick = thin_sizes(etas, np.array(ratios_of(window.law))), thick_lenses(design)
-    _refuse_axes(window, thin, laws)
     if design.pair.form == "biconvex":
         _refuse_steps(window, cells, _along_sheet(etas, laws.rotations_of(window.lattice, cells)))
     if window.field_array:
-        one, over, field = _with_plates(window, design, cells, etas[:, 0], thick)
-        built, focal = _both(one), _both(over)
+        if (own := etas_along_axes(design)) is not None:
+            built, focal, field = _with_toric(window, design, cells, own, thick)
+        else:
+            one, over, field = _with_plates(window, design, cells, etas[:, 0], thick)
+            built, focal = _both(one), _both(over)
     elif thick:
         along = [_thick(window, cells, own, axis) for axis, own in enumerate(etas.T)]
         found, field = np.stack(along, axis=-1), None
@@ -497,18 +547,11 @@ def _with_plates(
 ) -> tuple[Floats, Floats, FieldOfCells]:
     """As `CellSizes` of cells with field lenses: scale factors of lenses, of δ, and the field lenses.
 
-    Raises NoSuchLens: Lenses are tilted or given; the plates of two neighbours would touch; a field lens
+    Raises NoSuchLens: Lenses are tilted; the plates of two neighbours would touch; a field lens
         ends inside its cell, or its plate has no thickness.
     """
     recipe, told, every = window.recipe, window.recipe["field"], np.concatenate([[window.law.eta_x], etas])
-    if design.pair.given or window.law.theta != 0.0:
-        raise NoSuchLens(
-            "field lenses of cells with an eta each lie at a focus of each cell:"
-            + (" given faces state one place for all" if design.pair.given else " tilted ones are not made"),
-            SIZES_KEY,
-            'prescription = "derived"' if design.pair.given else "theta = 0",
-            "CL127",
-        )
+    _refuse_tilted(window)
     index, separation = recipe["n"], recipe["s"]
     if "gap" in told:
         focal, field = plates_of_cells(every, separation, told["gap"], index)
@@ -524,8 +567,98 @@ def _with_plates(
         focal = np.stack([over, -every * over])
         field = plate_of_cells(focal, over)
     _refuse_field(window, cells, etas, field)
-    own = FieldOfCells(field.size[:, 1:], field.lift[:, 1:], field.share[:, 1:], field.pull[1:])
-    return focal[:, 1:] / focal[:, :1], over[1:] / over[0], own
+    return focal[:, 1:] / focal[:, :1], over[1:] / over[0], field.of(slice(1, None))
+
+
+def _with_toric(
+    window: Window, design: Design, cells: Ints, every: Floats, thick: bool
+) -> tuple[Floats, Floats, FieldOfCells]:
+    """As `_with_plates`, with power of their own along both lens axes; `every` (1 + n, 2): of law, cells.
+
+    Thick lenses lie at their principal planes, which follow from their radii and these from the planes.
+    """
+    recipe, told, index = window.recipe, window.recipe["field"], window.recipe["n"]
+    _refuse_tilted(window)
+    if design.pair.given:
+        raise NoSuchLens(
+            "eta_x and eta_y of each cell with a field lens: both its faces have power along both axes, which"
+            " pair.face of one eta does not state",
+            SIZES_KEY,
+            'one column eta, or prescription = "derived"',
+            "CL127",
+        )
+    separation, reach, plates = recipe["s"], np.array(told["reach"]), "gap" in told
+    gap = told["gap"] if plates else told["thickness"] / index
+    rise = (mean := mean_focus(every, separation)) - mean[0]
+    ends = np.stack([reach[0] + rise, reach[1] - rise])[..., None] + np.zeros((1, 1, 2))
+    if plates:
+        _refuse_hollow(window, cells, every, gap)
+    lift = np.stack([rise * (index if plates else 1.0)] * 2)
+    _refuse_touching(window, cells, every[1:], lift[0, 1:], gap if plates else told["thickness"], plates)
+    last, still, shift = -reach[1] / reach[0], 1.0, np.array(recipe["f"][0])
+    if thick:
+        ends, focal, power, sizes = _thick_toric(recipe, every, ends, gap)
+        base = np.array(recipe["R"])
+    else:
+        focal, power = toric(every, ends[0], gap, ends[1])
+        base, sizes = np.array(thin_pair(ratios_of(window.law), separation)), focal
+    if plates:
+        base = _both(reach / (1.0 - 0.5 * gap / reach))
+        still, shift = base[1, 0] * (1.0 - 1.0 / last) / (reach.sum() + gap), -base[1, 0] / last
+    length = ends.sum(axis=0) + gap
+    pull = still - focal[1] * (1.0 - 1.0 / every) / length
+    size = (index - 1.0) / np.array(told["R"])[:, None, None] / power
+    near = (ends[0] / length).mean(axis=1)
+    share = np.stack([near, near + gap / length.mean(axis=1)])
+    field = FieldOfCells(size[..., 0], lift, share - share[:, :1], pull, power[..., 1] / power[..., 0])
+    _refuse_field(window, cells, every[1:], field)
+    return (sizes / base[:, None])[:, 1:], (-focal[1] / every / shift)[1:], field.of(slice(1, None))
+
+
+def _thick_toric(
+    recipe: Mapping[str, Any], etas: Floats, ends: Floats, gap: float
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Air from the principal planes to the field plate, focal lengths, powers of the field faces, and radii
+    of thick lenses, (2, n, 2) each.
+
+    ends : (2, n, 2) lengths. Air from the centre of either lens to the field plate.
+    """
+    index, thick = recipe["n"], np.array(recipe["T"])[:, None, None]
+    between, part = ends, (index - 1.0) * thick / index
+    for _ in range(SETTLING):
+        focal, power = toric(etas, between[0], gap, between[1])
+        bent = 1.0 / ((index - 1.0) * focal)
+        bent = bent / (1.0 + np.sqrt(1.0 - part * bent))
+        back = 0.5 * thick + (1.0 - part * bent) * focal
+        between = ends - (back - focal)
+    return between, focal, power, 1.0 / bent
+
+
+def _refuse_hollow(window: Window, cells: Ints, every: Floats, gap: float) -> None:
+    """Refuse a gap of two plates at which a field face would be hollow; one plate is made thick enough."""
+    least = least_gap(every, window.recipe["s"], True)
+    if (most := float(least.max())) >= gap:
+        k = int(np.argmax(least))
+        where = f"cell {tuple(cells[k - 1].tolist())}" if k else LAW.eta
+        raise NoSuchLens(
+            f"{where}, eta_x and eta_y = {_said(every[k])}: foci so far apart need two field faces more than"
+            f" {most:.4g} apart, not {gap:.4g}",
+            PAIR.field,
+            f"pair.field.gap > {most:.4g}, or an eta_x nearer to eta_y",
+            "CL129",
+        )
+
+
+def _refuse_tilted(window: Window) -> None:
+    """Refuse tilted lenses, whose foci do not lie on the line between their cells."""
+    if window.law.theta != 0.0:
+        raise NoSuchLens(
+            f"theta = {np.degrees(window.law.theta):g} deg and an eta of each cell: field lenses at foci of"
+            " different depths along tilted axes are not made",
+            SIZES_KEY,
+            "theta = 0, or one eta for all cells",
+            "CL127",
+        )
 
 
 def thin_sizes(etas: Floats, eta: Floats) -> Floats:
@@ -544,28 +677,6 @@ def _along_sheet(etas: Floats, turns: Floats | None) -> Floats:
         (turns[:, :2, :2] * etas[:, None]) @ turns[:, :2, :2].swapaxes(1, 2), 0, 2
     )
     return np.stack([xx, yy, xy], axis=1)
-
-
-def _refuse_axes(window: Window, sizes: Floats, laws: CellLaws) -> None:
-    """Refuse lenses whose two axes differ otherwise than those of the sheet's law, where none are made."""
-    if window.field_array and laws.angles is not None and window.law.eta_x != window.law.eta_y:
-        raise NoSuchLens(
-            "cells turned by phi and psi each would cut across the cylinders of the field lens",
-            SIZES_KEY,
-            "field_lens = false, or eta_x = eta_y",
-            "CL127",
-        )
-    if np.array_equal(sizes[..., 0], sizes[..., 1]):
-        return
-    even = any(isinstance(face.surface, EvenPolynomial) for face in window.faces)
-    if even or window.field_array:
-        raise NoSuchLens(
-            "cells with an eta_x and an eta_y each have lenses of their own along both axes: "
-            + ("given even terms state one form" if even else "each would need two foci for its field lens"),
-            SIZES_KEY,
-            "faces without a4, a6 and a8" if even else "field_lens = false, or one eta for both axes",
-            "CL127",
-        )
 
 
 def _thick(window: Window, cells: Ints, etas: Floats, axis: int = 0, plated: bool = False) -> Floats:
@@ -642,17 +753,26 @@ def _refuse_steps(window: Window, cells: Ints, each: Floats) -> None:
         )
 
 
-def _refuse_touching(window: Window, cells: Ints, etas: Floats, lift: Floats, gap: float) -> None:
-    """Refuse neighbours whose steps of the two plates would touch across the gap, naming the worst."""
+def _said(eta: Floats) -> str:
+    return " and ".join(f"{one:g}" for one in np.atleast_1d(eta))
+
+
+def _refuse_touching(
+    window: Window, cells: Ints, etas: Floats, lift: Floats, room: float, plates: bool = True
+) -> None:
+    """Refuse neighbours whose steps leave the gap of two plates, or the one plate, no `room`, naming both."""
     apart, pair = _worst_step(window, cells, lift)
-    if apart > gap:
+    if apart > room:
         (i, j), (k, m) = pair.tolist()
-        here, there = (etas[np.all(cells == one, axis=1)][0] for one in pair)
+        here, there = (_said(etas[np.all(cells == one, axis=1)][0]) for one in pair)
+        touch = "the plates would touch across their gap" if plates else "they would not meet in their plate"
         raise NoSuchLens(
-            f"cells ({i}, {j}) and ({k}, {m}) with eta = {here:g} and {there:g}: their foci lie {apart:.4g}"
-            f" apart in height, so that the plates would touch across their gap of {gap:.4g}",
+            f"cells ({i}, {j}) and ({k}, {m}) with eta = {here} and {there}: their foci lie {apart:.4g} apart"
+            f" in height, so that {touch} of {room:.4g}",
             SIZES_KEY,
-            f"pair.field.gap > {apart:.4g}, eta that changes more slowly, or one plate (plano, biconvex)",
+            f"pair.field.gap > {apart:.4g}, eta that changes more slowly, or one plate (plano, biconvex)"
+            if plates
+            else "eta that changes more slowly",
             "CL129",
         )
 
@@ -661,16 +781,17 @@ def _refuse_field(window: Window, cells: Ints, etas: Floats, field: FieldOfCells
     """Refuse a field lens that ends inside its cell, or leaves its plate no thickness there."""
     faces, reach = [face for face in window.faces if face.array == FIELD], window.lattice.circumradius
     plate = 0.0 if len(faces) > 1 else float(window.recipe["field"]["thickness"])
-    for face, size, lift in zip(faces, field.size, field.lift):
-        assert isinstance(face.surface, Quadric)  # given ones are refused
-        curvature, kappa = face.surface.curvature_x / size[1:], max(face.surface.kappa, 0.0) / size[1:]
+    for face, size, lift in zip(faces, field.size / field.sharper, field.lift):
+        shape = face.surface
+        bend = shape.kappa if isinstance(shape, Quadric) else (1.0 + shape.conic_x) * shape.curvature_x
+        curvature, kappa = shape.curvature_x / size[1:], max(bend, 0.0) / size[1:]
         thin = plate > 0.0 and plate - lift[1:] <= 0.5 * curvature * reach**2
         bad = np.flatnonzero((curvature * kappa * reach**2 > 1.0) | thin)
         if len(bad):
             i, j = cells[bad[0]].tolist()
             raise NoSuchLens(
-                f"the field lens of cell ({i}, {j}), eta = {etas[bad[0]]:g}, would end inside its cell or"
-                " reach through its plate",
+                f"the field lens of cell ({i}, {j}), eta = {_said(etas[bad[0]])}, would end inside its cell"
+                " or reach through its plate",
                 SIZES_KEY,
                 "an eta nearer to the others, a smaller pitch, or a larger separation",
                 "CL128",

@@ -21,20 +21,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import sqrt
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.base.vectors import xy
+from clacad.design.asked_cells import cell_laws, cut_across, lattice_of
 from clacad.design.process_profiles import profile
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.design.varying import Planes
 from clacad.optics.surface import Quadric
 from clacad.prescription.bodies import FieldCells, Listed, bodies_of, shared
-from clacad.prescription.intent import Intent
+from clacad.prescription.intent import Intent, separation_of
 from clacad.prescription.radii import NoSuchLens, field_focal_lengths, thin_pair
 from clacad.sheet.volume_and_extent import FIELD as ARRAY
 from clacad.sheet.window import IDENTITY, Body, Face, FieldLens
+
+if TYPE_CHECKING:
+    from clacad.design import Design
 
 STEEPEST = 1.05
 """Least radius of a field face, over half the width of its cell."""
@@ -46,11 +51,17 @@ ROOM = 1.25
 def thin_field(eta: Pair2, separation: float) -> tuple[FieldLens, ...]:
     """Ideal field lens of a thin pair (lengths): one, or two cylinders in the order light reaches them."""
     first, _ = thin_pair(eta, separation)
-    power = field_focal_lengths(eta, separation)
     if first[0] == first[1]:
-        return (FieldLens(power, first[0]),)
-    lenses = (FieldLens((power[0], np.inf), first[0]), FieldLens((np.inf, power[1]), first[1]))
+        return (FieldLens(field_focal_lengths(eta, separation), first[0]),)
+    lenses = thin_cylinders(eta, separation)
     return lenses if first[0] < first[1] else lenses[::-1]
+
+
+def thin_cylinders(eta: Pair2, separation: float) -> tuple[FieldLens, FieldLens]:
+    """Ideal field lenses of x and of y, each at the focus of its own meridian (lengths)."""
+    first, _ = thin_pair(eta, separation)
+    power = field_focal_lengths(eta, separation)
+    return FieldLens((power[0], np.inf), first[0]), FieldLens((np.inf, power[1]), first[1])
 
 
 def refuse_too_steep(radius: float, intent: Intent, axis: int | None) -> None:
@@ -100,7 +111,10 @@ def air_gap(intent: Intent) -> float:
     limit = design.check.clearance
     if limit is None:
         limit = profile(design.check.process).clearance / design.unit_m
-    return max(min(design.lattice.pitch) / 25.0, ROOM * limit)
+    least = max(min(design.lattice.pitch) / 25.0, ROOM * limit)
+    if (etas := etas_along_axes(design)) is not None:
+        least = max(least, ROOM * float(least_gap(etas, separation_of(intent), True).max()))
+    return least
 
 
 # -- two plates -------------------------------------------------------------------------------------
@@ -172,7 +186,9 @@ class FieldBodies:
 
 def two_plates(intent: Intent, separation: float, scale: float) -> FieldBodies:
     """Two plates with the field lens on both inner faces, lens radii times `scale`; separation: length."""
-    eta, n = intent.eta[0], intent.index
+    eta, n, own = intent.eta[0], intent.index, etas_along_axes(intent.design)
+    if own is not None:
+        eta = 1.0 - separation / float(mean_focus(own[:1], separation)[0])
     plates = paired_plates(eta, separation, air_gap(intent))
     if (planes := intent.design.pair.focus) is not None:
         plates = plates.focused(planes)
@@ -198,7 +214,8 @@ def two_plates(intent: Intent, separation: float, scale: float) -> FieldBodies:
         return Face(intent.shape.face((r, r), side, number), _vertex(place, z), rotation, number)
 
     def field(number: int, side: int, place: Floats, z: float) -> Face:
-        return Face(_sphere(inner[number], side, conic), _vertex(place, z), array=ARRAY)
+        turned = IDENTITY if own is None else rotation
+        return Face(_sphere(inner[number], side, conic), _vertex(place, z), turned, ARRAY)
 
     first, second = bodies_of(
         intent.listed(
@@ -212,6 +229,8 @@ def two_plates(intent: Intent, separation: float, scale: float) -> FieldBodies:
     )
     told = {"R": inner, "f": field_focal_lengths(intent.eta, separation)[0], "conic": conic}
     told |= {"gap": plates.gap, "thickness": thickness, "equal_plates": _equal(first, second)}
+    if own is not None:
+        told |= {"reach": list(plates.field), "equal_plates": False}
     ends = plates.field[0] / plates.length, (plates.field[0] + plates.gap) / plates.length
     last = plates.focal_length[1]
     cells = FieldCells(
@@ -255,13 +274,76 @@ class FieldOfCells:
     size : (k, n). Scale factors of the k faces of the field lens, in the order of the light.
     lift : (k, n) lengths. Rise of these faces.
     share : (k, n). What their places on the line from cell 1 to cell 2 differ by.
-    pull : (n,). Displacement of lens 2 per displacement of its cell.
+    pull : (n,) or (n, 2). Displacement of lens 2 per displacement of its cell, along the lens axes.
+    aspect : (k, n) or None. Curvature along y over that of the scaled face; None: 1 for all.
     """
 
     size: Floats
     lift: Floats
     share: Floats
     pull: Floats
+    aspect: Floats | None = None
+
+    @property
+    def sharper(self) -> Floats | float:
+        """Greater curvature of each face, along x or y, over that along x."""
+        return 1.0 if self.aspect is None else np.maximum(self.aspect, 1.0)
+
+    def of(self, rows: slice) -> FieldOfCells:
+        """Those of some cells."""
+        size, lift, share = (one[:, rows] for one in (self.size, self.lift, self.share))
+        return FieldOfCells(
+            size, lift, share, self.pull[rows], None if self.aspect is None else self.aspect[:, rows]
+        )
+
+
+def etas_along_axes(design: Design) -> Floats | None:
+    """η (m, 2) of the law and of the cells of a table whose field lenses have power of their own along both
+    lens axes; None: they have one η, or cylinders that follow the law.
+    """
+    varying, law = design.law_spec.varying, design.law_spec.eta
+    tabled = varying is not None and varying.table is not None
+    if not design.pair.field_lens or not (tabled or cut_across(design)):
+        return None
+    laws, lattice = cell_laws(design), lattice_of(design)
+    etas = laws.ratios_of(lattice, lattice.cells())
+    alike = bool((etas[:, 0] == etas[:, 1]).all())
+    if alike and law[0] == law[1] or laws.ratios is None and laws.angles is None:
+        return None
+    return np.concatenate([[law], etas])
+
+
+def mean_focus(etas: Floats, separation: float) -> Floats:
+    """Mean of the foci (n,) of both meridians behind lens 1, in air, for η (n, 2); lengths."""
+    return np.asarray(separation * (1.0 / (1.0 - etas)).mean(axis=-1))
+
+
+def least_gap(etas: Floats, separation: float, plates: bool) -> Floats:
+    """Distances (n,) of the two field faces in air beyond which none is hollow, for η (n, 2); lengths.
+
+    plates : Whether the faces lie on two plates, with the gap in addition to the separation.
+    """
+    off = separation / (1.0 - etas) - mean_focus(etas, separation)[:, None]
+    if not plates:
+        return np.asarray(2.0 * np.abs(off).max(axis=-1))
+    return np.asarray(np.where(off > 0.0, (1.0 - 1.0 / etas) * off, (etas - 1.0) * off).max(axis=-1))
+
+
+def toric(etas: Floats, before: Floats, gap: Floats | float, behind: Floats) -> tuple[Floats, Floats]:
+    """Focal lengths (2, n, 2) of both lenses and powers (2, n, 2) of both field faces, lens axes.
+
+    etas : (n, 2); before, gap, behind : from lens 1 to the faces and on to lens 2, in air, lengths
+    """
+    ends = before, behind
+    power = [
+        1.0 / end + (1.0 + ratio) / gap
+        for end, ratio in ((before, behind / (etas * before)), (behind, etas * before / behind))
+    ]
+    focal = [
+        (end + 0.5 * gap * (1.0 - one * end)) / (1.0 - 0.5 * gap * one)
+        for end, one in zip(ends, power, strict=True)
+    ]
+    return np.stack(focal), np.stack(power)
 
 
 def plates_of_cells(eta: Floats, separation: float, gap: float, index: float) -> tuple[Floats, FieldOfCells]:
@@ -357,6 +439,41 @@ def one_plate(intent: Intent, focal_length: tuple[Pair2, Pair2], foci: Pair2, be
     return FieldPlate(foci, thickness, told)
 
 
+def split_plate(intent: Intent, etas: Floats, f1: float, glass: Pair2, place: float) -> FieldPlate:
+    """Field plate with power on both faces, about the mean focus of lens 1, for η (m, 2) of law and cells.
+
+    f1 : air from the reference point of lens 1 to the focus (length); glass : of it, and behind it, what the
+        lenses take up; place : height of the focus over that point
+    Raises NoSuchLens: There is no room for the plate.
+    """
+    n, separation = intent.index, separation_of(intent)
+    mean, f2 = mean_focus(etas, separation), separation - f1
+    room = f1 - glass[0], f2 - glass[1]
+    radius = (n - 1.0) * f1 * f2 / separation
+    thick = _plate_thickness(intent, [radius, radius], (f1, f1), min(room))
+    thick = max(thick, n * ROOM * float(least_gap(etas, separation, False).max()))
+    half, rise = 0.5 * thick / n, mean - mean[0]
+    left = min(room[0] + float(rise.min()), room[1] - float(rise.max())) - half
+    if left <= 0.0:
+        raise NoSuchLens(
+            f"there is no room for the field plate, {thick:.4g} thick for foci {2.0 * half / ROOM:.4g} apart:"
+            f" it would reach {-left:.4g} into a lens",
+            key=PAIR.separation,
+            hint="a larger separation, thinner lenses, or an eta_x nearer to eta_y",
+            code="CL129",
+        )
+    reach = np.array([[f1 - half]]), np.array([[f2 - half]])
+    _, power = toric(np.array([[-f2 / f1]]), reach[0], 2.0 * half, reach[1])
+    told: dict[str, object] = {
+        "R": [(n - 1.0) / float(one) for one in power.ravel()],
+        "f": f1 * f2 / separation,
+        "conic": _conic(intent, 0.0),
+        "thickness": thick,
+        "reach": [f1 - half, f2 - half],
+    }
+    return FieldPlate((place - half, place - half), thick, told)
+
+
 def _plate_thickness(intent: Intent, radius: list[float], foci: Pair2, behind: float) -> float:
     """Thickness (length) of a field plate: from focus to focus of cylinders, else sag and neck."""
     n, design = intent.index, intent.design
@@ -391,8 +508,8 @@ def plate_faces(
     points = [chief.across(some) for some in reached]
     near_end, far_end = (_reduced(some) / _reduced(legs) for some in reached)
     added = plate.added(intent.index) * intent.turn[:, 2]
-    power_of = plate.told["R"]
-    conic = _conic(intent, -(intent.index**2))
+    power_of: Any = plate.told["R"]
+    conic: Any = plate.told["conic"]
     near = min(plate.foci)
     first, last = (
         intent.turn @ np.array([*point, z])
@@ -401,17 +518,19 @@ def plate_faces(
     tilted = intent.law.theta != 0.0
     rotation = shared(intent.turn if tilted or plate.crossed else IDENTITY)
     if not plate.crossed:
-        assert isinstance(power_of, float)
-        lens = Face(_sphere(power_of, +1, conic), (0.0, 0.0, float(first[2])), rotation, ARRAY)
-        plane = Face(Quadric(0.0, 0.0, 0.0, -1), (0.0, 0.0, float(last[2])))
-        if tilted:
+        split = isinstance(power_of, list)
+        radii: list[float] = power_of if isinstance(power_of, list) else [power_of]
+        rotation = shared(intent.turn) if split else rotation
+        lens = Face(_sphere(radii[0], +1, conic), (0.0, 0.0, float(first[2])), rotation, ARRAY)
+        back = _sphere(radii[1], -1, conic) if split else Quadric(0.0, 0.0, 0.0, -1)
+        plane = Face(back, (0.0, 0.0, float(last[2])))
+        if tilted or split:
             vertex = _vertex(last[:2] - first[:2], float(last[2]))
             plane = replace(plane, vertex=vertex, rotation=rotation, array=ARRAY)
         cells = FieldCells(
             xy(first[:2]), near_end * np.eye(2), (near_end * np.eye(2), far_end * np.eye(2)), added
         )
         return [(lens, intent.glass("field")), (plane, None)], cells
-    assert isinstance(power_of, list)
     axes = (0, 1) if plate.foci[0] < plate.foci[1] else (1, 0)
     # a cylinder is uniform along its axis: each face fixes the position of the cells across its own axis only
     middle = np.empty(2)

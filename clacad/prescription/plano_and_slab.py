@@ -31,8 +31,11 @@ from clacad.prescription.cell_heights import face_range
 from clacad.prescription.field_lens import (
     Chief,
     air_gap,
+    etas_along_axes,
+    mean_focus,
     one_plate,
     plate_faces,
+    split_plate,
     starts_aligned,
     two_plates,
 )
@@ -178,8 +181,14 @@ def plano_with_field(intent: Intent, lenses: LensPair) -> Window:
             code="CL129",
         )
     foci = (glass[0] + first[0] - glass[0] / n, glass[0] + first[1] - glass[0] / n)
-    plate = one_plate(intent, (first, second), foci, behind)
-    behind -= 0.0 if plate.crossed else plate.thickness / n
+    if (own := etas_along_axes(intent.design)) is None:
+        plate = one_plate(intent, (first, second), foci, behind)
+        behind -= 0.0 if plate.crossed else plate.thickness / n
+    else:
+        focus, taken = float(mean_focus(own[:1], separation)[0]), (glass[0] / n, glass[1] / n)
+        plate = split_plate(intent, own, focus, taken, focus + glass[0] - taken[0])
+        half = 0.5 * plate.thickness / n
+        before, behind = focus - taken[0] - half, separation - focus - taken[1] - half
     offset = intent.built_offset(lenses)
     legs = ((glass[0], n), (before, 1.0), (plate.thickness, n), (behind, 1.0), (glass[1], n))
     turn = intent.turn[:2, :2]
@@ -225,7 +234,7 @@ def _slab_scaled(intent: Intent, scale: float) -> Window:
 def _slab_with_field(intent: Intent, separation: float, scale: float) -> Window:
     """Slab cut at the focus: two plates, or array 1, field plate and array 2 if foci differ."""
     n = intent.index
-    if intent.eta[0] == intent.eta[1]:
+    if intent.eta[0] == intent.eta[1] or etas_along_axes(intent.design) is not None:
         placed = two_plates(intent, separation, scale)
         lenses = one_faced(intent, separation, (n * separation, n * separation)).scaled(scale)
         return assemble_window(

@@ -15,6 +15,7 @@ follows are solved one by one.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 
@@ -87,25 +88,23 @@ It is coarser than the effect of the order of sums, so that bytes repeat.
 class OwnLenses:
     """Lenses of cells with different sizes.
 
-    sizes : (2, m). Scale factors of lens 1 and lens 2, relative to the window's.
-    aspect : (2, m) or None. Curvature of both along y over that of the scaled lens; None: 1 for all.
+    sizes : (2 + k, m). Scale factors of lens 1, lens 2, and the k faces of the field lens in the order of the
+        light, relative to the window's; k = 0: these are alike.
+    aspect : (2 + k, m) or None. Curvature of each along y over that of the scaled lens; None: 1 for all.
     fill : (m,). Part of the cell whose light lens 2 can accept.
-    field : (k, m) or None. Scale factors of the faces of the field lens, in the order of the light.
-    turns : (m, 3, 3) or None. Lens → sheet of both lenses, untilted; None: the window's.
+    turns : (m, 3, 3) or None. Lens → sheet of all lenses, untilted; None: the window's.
     """
 
     sizes: Floats
     aspect: Floats | None
     fill: Floats
-    field: Floats | None = None
     turns: Floats | None = None
 
     def of(self, rows: Ints) -> OwnLenses:
         """Lenses of some cells, by their indices (k,) in the list."""
-        field = None if self.field is None else self.field[:, rows]
         aspect = None if self.aspect is None else self.aspect[:, rows]
         turns = None if self.turns is None else self.turns[rows]
-        return OwnLenses(self.sizes[:, rows], aspect, self.fill[rows], field, turns)
+        return OwnLenses(self.sizes[:, rows], aspect, self.fill[rows], turns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,15 +295,16 @@ def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLi
     direction, scaled = unit_directions(ray)
     offset, travelled = launch(start, scaled, seq[0].vertex)
     slide = np.repeat(_slides(owners, move, light), n, axis=1)
-    sizes = _sizes(owners, light, n)
+    numbers = _numbers(owners)
+    sizes = _sizes(numbers, light, n)
     turn = None if light.own is None or light.own.turns is None else np.repeat(light.own.turns, n, axis=0)
     for k, interface in enumerate(seq):
         if k:
             offset, travelled = pass_on(offset, seq[k - 1].vertex, interface.vertex), np.zeros(m * n)
             offset = offset + slide[k - 1] - slide[k]
         size = sizes[k]
-        if light.own is not None and light.own.aspect is not None and owners[k] != FIELD:
-            aspect = np.repeat(light.own.aspect[owners[k]], n)
+        if light.own is not None and light.own.aspect is not None and numbers[k] < len(light.own.aspect):
+            aspect = np.repeat(light.own.aspect[numbers[k]], n)
             interface = replace(interface, surface=stretched(interface.surface, aspect))
         if turn is not None:  # every face is crossed in the axes of its lens
             interface = replace(interface, rotation=None)
@@ -348,16 +348,16 @@ def field_moves(window: Window, placed: Window, cells: Ints) -> Floats:
     return np.array(found)
 
 
-def _sizes(owners: list[int], light: CellLight, n: int) -> list[Floats]:
+def _numbers(owners: list[int]) -> list[int]:
+    """Row of each face in `OwnLenses`, which has none for a last field face without power."""
+    fields = count(FIELD)
+    return [next(fields) if owner == FIELD else owner for owner in owners]
+
+
+def _sizes(numbers: list[int], light: CellLight, n: int) -> list[Floats]:
     """Scale factors of every face hit by n rays of m cells, (m n, 1) each; (1, 1) of 1 if alike."""
-    own, alike = light.own, np.ones((1, 1))
-    fields = iter(() if own is None or own.field is None else own.field)
-
-    def of(owner: int) -> Floats:
-        size = None if own is None else next(fields, None) if owner == FIELD else own.sizes[owner]
-        return alike if size is None else np.repeat(size, n)[:, None]
-
-    return [of(owner) for owner in owners]
+    own = () if light.own is None else light.own.sizes
+    return [np.repeat(own[k], n)[:, None] if k < len(own) else np.ones((1, 1)) for k in numbers]
 
 
 def _cell_points(window: Window, own: OwnLenses | None = None, copies: int = 1) -> Floats:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from oracle import trace as oracle
-from sheet.test_cells_of_own_eta import FORMS, across, slightly, spread, turned
+from sheet.test_cells_of_own_eta import FORMS, GIVEN_EVEN, across, slightly, spread, turned
 from sheet.test_cells_of_own_eta import PRESENT as PRESENT_WITH_ETA
 from sheet.test_cells_of_own_eta import design as tabled
 from sheet.test_varying_sheets import ITS_OWN, PRESENT, SHEET, design
@@ -63,6 +63,11 @@ OF_TWO_AXES = {
     "slab": {}, "ellipsoids": {"pair__surface": None}, "biconvex": FORMS["biconvex"],
     "plano, hexagonal": {**FORMS["plano"], "lattice__kind": "hexagonal"}, "tilt": {"law__euler": [20, 3, 0]},
     "aimed": {"lattice__aperture": {"point": [3, 2, -300]}}, "seam": {"lattice__seam": 0.05}, "law of two": {"law__eta": [-1.0, -1.1]},
+    "even terms": GIVEN_EVEN,
+    "field lens": {"pair__field_lens": True, "pair__surface": None, "lattice__count": [2, 2]},
+    "field lens, plano": {"pair__field_lens": True, "pair__surface": None, **FORMS["plano"], "lattice__count": [2, 2]},
+    "field lens, biconvex": {"pair__field_lens": True, **FORMS["biconvex"], "lattice__count": [2, 2]},
+    "field lens, turned": {"pair__field_lens": True, "pair__surface": None, "turn": slightly, "lattice__count": [2, 2]},
     "turned": {"turn": turned, "lattice__count": [3, 2]},
     "turned plano": {**FORMS["plano"], "pair__surface": None, "turn": turned, "lattice__count": [3, 2]},
     "turned biconvex": {**FORMS["biconvex"], "turn": slightly, "lattice__count": [3, 2]},
@@ -126,7 +131,7 @@ def test_the_file_of_cells_of_two_eta_is_a_master_and_one_lens_bent_along_one_ax
     assert entry["role"] == "optical-master"
     assert not failing(clacad.verify(wanted, files=tmp_path / "right", rays=2048))
     window = clacad.prescribe(wanted)
-    for array in (0, 1):
+    for array in (2,) if window.field_array else (0, 1):
         for spoilt in (one_lens_bent, one_lens_moved, one_lens_turned)[: 2 + ("turn" in OF_TWO_AXES[form])]:
             write_step(spoilt(window, array), tmp_path / "spoilt.step")
             assert failing(clacad.verify(wanted, files=tmp_path / "spoilt.step", rays=2048))
@@ -190,8 +195,11 @@ def oracle_faces(window, cell):
         if isinstance(s, Quadric):
             found.append(oracle.quadric(s.curvature_x, s.curvature_y, s.kappa, s.side, **place))
         else:
-            assert isinstance(s, Biconic)
-            found.append(oracle.biconic(s.curvature_x, s.curvature_y, s.conic_x, s.conic_y, s.side, **place))
+            numbers = (s.curvature_x, s.curvature_y, s.conic_x, s.conic_y)
+            if isinstance(s, Biconic):
+                found.append(oracle.biconic(*numbers, s.side, **place))
+            else:
+                found.append(oracle.polynomial(*numbers, s.a4, s.a6, s.a8, s.side, **place))
     return found
 
 

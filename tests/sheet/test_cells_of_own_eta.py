@@ -12,10 +12,13 @@ from scipy.integrate import dblquad
 import clacad
 from clacad.base.sobol import sobol
 from clacad.design.combinations import REASONS
+from clacad.design.faces import face_table
 from clacad.mesh import check_closed, tessellate
 from clacad.mesh.body_mesh import facet_tags
 from clacad.mesh.cell_template import BACK, FRONT
 from clacad.optics.rays import Fate
+from clacad.prescription.bodies import face_spec
+from clacad.prescription.field_lens import toric
 from clacad.sheet.cell_heights import highest_step
 from clacad.sheet.feasibility import feasibility
 from clacad.sheet.like_cell import like_cell
@@ -151,29 +154,128 @@ LENSED = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("form", ["two plates", "plano", "biconvex"])
+def test_given_faces_behind_field_lenses_are_scaled_as_those_that_are_derived(tmp_path, form):
+    """Given as they were derived for the law's eta, with tables of the same cells."""
+    derived = clacad.prescribe(field_design(tmp_path, form, still, pair__offset="paraxial"))
+    faces = [face_table(face_spec(face.surface)) for face in derived.faces]
+    keys = {"pair__prescription": "given", "pair__face": faces, "pair__offset": "paraxial"}
+    if form != "two plates":
+        keys["pair__thickness"] = list(derived.recipe["T"])
+    given = clacad.prescribe(field_design(tmp_path, form, still, **keys))
+    x, y = np.array([0.1, 0.2]), np.array([-0.2, 0.05])
+    for cell in derived.lattice.cells()[::4]:
+        for one, other in zip(derived.faces, given.faces, strict=True):
+            here, there = (lens_height(w.in_cell(f, cell), x, y) for w, f in ((derived, one), (given, other)))
+            assert np.abs(here - there).max() < 1e-16
+    both = field_design(tmp_path, form, still, **keys, eta=MILD)
+    with pytest.raises(clacad.DesignError, match="CL127"):
+        clacad.prescribe(both)
+
+
+MILD = across(spread(-0.95, -1.1), spread(-1.15, -1.0))
+"""η along both axes of a cell; where both are near -1 one focus may lie before or behind the other."""
+LENSED_OF_TWO = {
+    "two axes": {}, "two axes, law of two": {"law__eta": [-1.0, -1.1], "pair__field": {"gap": 0.7}},
+    "two axes, hexagonal": {"lattice__kind": "hexagonal"}, "two axes, aimed": {"lattice__aperture": {"point": [3, 2, -300]}},
+    "two axes, plano": FORMS["plano"], "two axes, curved inside": FORMS["plano, curved inside"],
+    "two axes, biconvex": FORMS["biconvex"], "two axes, biconvex, law of two": {**FORMS["biconvex"], "law__eta": [-1.0, -1.1]},
+    "two axes, steered plano": {**FORMS["plano"], "lattice__aperture": [0.02, -0.01]},
+    "two axes, turned": {"turn": turned}, "two axes, turned plano": {**FORMS["plano"], "turn": turned},
+    "turned": {"eta": None, "law__eta": [-1.0, -1.1], "turn": turned}, "two axes, phi": {"law__euler": [25, 0, 0]},
+}  # fmt: skip
+"""As `LENSED`, with an η along each lens axis."""
+
+
 def field_design(folder, form, delta=sloping, **more):
-    keys = {"pair__field_lens": True, **LENSED[form], "pair__surface": None, **more}
-    return design(folder, spread(-0.9, -1.2), delta, **keys)
+    own = (LENSED | LENSED_OF_TWO)[form]
+    keys = {"eta": MILD if form in LENSED_OF_TWO else spread(-0.9, -1.2), "pair__field_lens": True, **own}
+    return design(folder, delta=delta, **{**keys, "pair__surface": None, **more})
 
 
-@pytest.mark.parametrize("form", LENSED)
+@pytest.mark.parametrize("form", [*LENSED, *LENSED_OF_TWO])
 def test_the_field_lens_of_each_cell_images_its_lens_1_onto_its_lens_2_and_leaves_its_law(tmp_path, form):
     """By the product of the matrices of its faces, from the plane of lens 1 to that of lens 2."""
     window = clacad.prescribe(field_design(tmp_path, form))
     for cell in window.lattice.cells():
-        eta = window.law_at(cell).eta_x
-        (_, images), (bends, magnifies) = matrix(window, cell)
-        assert abs(bends) < 1e-15
-        assert magnifies == pytest.approx(1.0 / eta, rel=1e-14)
-        if form not in ("curved inside", "biconvex"):  # their first and last face is not in the lens plane
-            assert abs(images) < 1e-14
+        for axis in "xy":
+            eta = getattr(window.law_at(cell), f"eta_{axis}")
+            (_, images), (bends, magnifies) = matrix(window, cell, axis)
+            assert abs(bends) < (1e-15 if form in LENSED else 1e-14)
+            assert magnifies == pytest.approx(1.0 / eta, rel=1e-14 if form in LENSED else 4e-14)
+            if "inside" not in form and "biconvex" not in form:  # whose end faces are not in the lens plane
+                assert abs(images) < 1e-13
     faces = [face for face in window.faces if face.array == 2]
-    for face in faces:
+    for face in faces[: None if form in LENSED else 0]:
         assert np.ptp(window.vertices(face, window.lattice.cells())[:, 2]) > 0.5
 
 
+CUT_ACROSS = {
+    "hexagonal": {"lattice__kind": "hexagonal"}, "turned": {"law__euler": [30, 0, 0]}, "aimed": {"lattice__kind": "hexagonal", "lattice__aperture": {"point": [3, 2, -300]}},
+    "hexagonal plano": {**FORMS["plano"], "lattice__kind": "hexagonal"}, "turned biconvex": {**FORMS["biconvex"], "law__euler": [0, 0, 50]},
+    "baffle": {**FORMS["plano"], "body__baffle": True, "body__baffle_wall": 0.02}, "best": {"lattice__kind": "hexagonal", "pair__confocal": "best"},
+}  # fmt: skip
+"""Sheets of one law of two η whose cells would cut across cylinders, or whose baffle would interrupt them."""
+
+
+@pytest.mark.parametrize("form", CUT_ACROSS)
+def test_one_law_of_two_eta_whose_cells_would_cut_cylinders_has_field_faces_curved_along_both(tmp_path, form):
+    """By matrices along both axes, and as the sheet of a table with these numbers in every cell."""
+    keys = {
+        "law__eta": [-1.0, -1.1],
+        "pair__field_lens": True,
+        "pair__surface": None,
+        "pair__offset": "paraxial",
+    }
+    keys |= CUT_ACROSS[form] | {"lattice__count": [4, 3]}
+    made = design(tmp_path, across(lambda i, j: -1.0, lambda i, j: -1.1), still, **keys)
+    raw = made.to_dict()
+    del raw["law"]["varying"]
+    own, one = clacad.prescribe(clacad.Design.from_dict(raw)), clacad.prescribe(made)
+    for cell in own.lattice.cells()[::3]:
+        for axis, eta in zip("xy", (-1.0, -1.1), strict=True):
+            (_, _), (bends, magnifies) = matrix(own, cell, axis)
+            if form != "best":
+                assert abs(bends) < 1e-14
+                assert magnifies == pytest.approx(1.0 / eta, rel=1e-13)
+        for face, other in zip(own.faces, one.faces, strict=True):
+            assert own.in_cell(face, cell).surface == one.in_cell(other, cell).surface
+    cells, ray = own.lattice.cells(), np.array([*aperture_slopes(own, own.lattice.cells()[:1])[0], 1.0])
+    start = np.column_stack([own.lattice.centres(cells) + [0.02, 0.01], np.zeros(len(cells))]) - ray
+    seen = clacad.trace(own, clacad.Rays(start, ray))
+    exact = np.array([own.law.refract(ray)] * len(cells))
+    assert np.abs(seen.direction - exact).max() < 4e-4
+
+
+def test_two_field_faces_are_the_crossed_cylinders_at_the_distance_of_their_foci(tmp_path):
+    """In 50 digits, for every η: afocal with η, lens 1 imaged onto lens 2; at that distance one power of each is 0."""
+    etas = np.array([[-0.5, -1.0], [-1.0 - 1e-12, -1.0], [-2.0, -0.7], [-0.3, -0.9]])
+    first = 10.0 / (1.0 - etas)
+    near, far = first.min(axis=1, keepdims=True), 10.0 - first.max(axis=1, keepdims=True)
+    for wider in (1.0, 1.3):
+        gap = wider * (10.0 - near - far)
+        ends = near - 0.5 * (gap - gap / wider), far - 0.5 * (gap - gap / wider)
+        focal, power = toric(etas, ends[0], gap, ends[1])
+        with mpmath.workdps(50):
+            for k, axis in np.ndindex(4, 2):
+                legs = [mpmath.mpf(float(one[k, 0])) for one in (ends[0], gap, ends[1])]
+                total = mpmath.matrix([[1, 0], [-1 / mpmath.mpf(focal[0, k, axis]), 1]])
+                for leg, bends in zip(
+                    legs, (*power[:, k, axis], 1 / mpmath.mpf(focal[1, k, axis])), strict=True
+                ):
+                    total = mpmath.matrix([[1, 0], [-bends, 1]]) * mpmath.matrix([[1, leg], [0, 1]]) * total
+                rounding = 1e-14 * (1 + 10 / legs[1])
+                assert abs(total[1, 0]) < rounding
+                assert abs(total[0, 1]) < 100 * rounding
+                assert abs(total[1, 1] * etas[k, axis] - 1) < 10 * rounding
+        if wider == 1.0:
+            assert np.sort(np.abs(power), axis=0)[0][[0, 2, 3]].max() < 1e-14
+            whole = 1.0 / first - 1.0 / (etas * first)
+            assert power.sum(axis=0)[[0, 2, 3]] == pytest.approx(whole[[0, 2, 3]], rel=1e-12)
+
+
 @pytest.mark.parametrize("offset", ["traced", "paraxial"])
-@pytest.mark.parametrize("form", LENSED)
+@pytest.mark.parametrize("form", [*LENSED, *LENSED_OF_TWO])
 def test_light_through_a_field_lens_of_each_cell_leaves_by_the_law_of_that_cell(tmp_path, form, offset):
     window = clacad.prescribe(field_design(tmp_path, form, pair__offset=offset))
     cells = window.lattice.cells()
@@ -429,16 +531,26 @@ def test_neighbours_whose_turns_differ_by_rounding_have_lenses_that_do(tmp_path)
     assert abs(step - highest_step(one, one.bodies[0]).height) < 1e-14
 
 
-def test_turned_cells_of_a_tilted_law_and_across_the_cylinders_of_a_field_lens_are_refused(tmp_path):
-    for keys, code, word in (
-        ({"law__euler": [20, 3, 0]}, "CL124", "lean towards another side"),
-        ({"law__eta": [-0.8, -1.3], "pair__surface": None, "pair__field_lens": True}, "CL127", "cylinders"),
-    ):
-        with pytest.raises(clacad.DesignError) as caught:
-            built(tmp_path, None, still, turned, **keys)
-        (mistake,) = caught.value.mistakes
-        assert mistake.code == code
-        assert word in mistake.message
+def test_turned_cells_of_a_tilted_law_are_refused(tmp_path):
+    with pytest.raises(clacad.DesignError, match="CL124") as caught:
+        built(tmp_path, None, still, turned, law__euler=[20, 3, 0])
+    assert "lean towards another side" in caught.value.mistakes[0].message
+
+
+def test_foci_too_far_apart_for_two_plates_are_refused_with_the_gap_that_works(tmp_path):
+    """A face of a field lens is plane where it has the place of the focus of the other axis."""
+    keys = {"pair__field_lens": True, "pair__surface": None, "lattice__count": [3, 3]}
+    with pytest.raises(clacad.DesignError, match="CL129") as caught:
+        built(tmp_path, MILD, still, pair__field={"gap": 0.3}, **keys)
+    (mistake,) = caught.value.mistakes
+    assert "cell (" in mistake.message
+    gap = float(mistake.hint.split("gap > ")[1].split(",")[0])
+    window = built(tmp_path, MILD, still, pair__field={"gap": 1.001 * gap}, **keys)
+    curved = [
+        getattr(window.in_cell(face, cell).surface, f"curvature_{axis}")
+        for face in window.faces for cell in window.lattice.cells() for axis in "xy" if face.array == 2
+    ]  # fmt: skip
+    assert 0.0 < min(curved) < 3e-3 * max(curved)
 
 
 def test_turned_lenses_that_a_shrinkage_would_deform_are_refused(tmp_path):
@@ -450,17 +562,40 @@ def test_turned_lenses_that_a_shrinkage_would_deform_are_refused(tmp_path):
         bent_window(window, 1e-4)
 
 
-def test_two_numbers_of_a_cell_that_have_no_field_lens_or_no_form_are_refused(tmp_path):
-    even = {"radius": 2.468, "a4": [1e-4, 2e-4, 1e-4]}
-    for keys, word in (
-        ({"pair__field_lens": True, "pair__field": {"gap": 0.5}, "pair__surface": None}, "two foci"),
-        ({"pair__prescription": "given", "pair__face": [even, even], "pair__surface": None}, "even terms"),
-    ):
-        with pytest.raises(clacad.DesignError) as caught:
-            built(tmp_path, BOTH, still, **keys)
-        (mistake,) = caught.value.mistakes
-        assert mistake.code == "CL127"
-        assert word in mistake.message
+EVEN = [
+    {"radius": 2.468, "conic": -0.5, "a4": [1e-2, 3e-2, 2e-2], "a6": [1e-2, 2e-2, 0, 3e-2]},
+    {"radius": 2.468, "a4": [2e-2] * 3, "a8": [1e-2, 0, 3e-2, 0, 2e-2]},
+]
+"""Faces with terms of all orders, of lens 1 and of lens 2."""
+GIVEN_EVEN = {"pair__prescription": "given", "pair__face": EVEN, "pair__surface": None}
+
+
+def test_given_terms_of_two_eta_are_along_each_axis_those_of_the_lens_scaled_for_that_axis(tmp_path):
+    """In 50 digits: k h(x/k) along x and along y, and lenses of one k as one of one eta has them."""
+    window = built(tmp_path, BOTH, still, pair__offset="paraxial", **GIVEN_EVEN)
+    (body,) = window.bodies
+    with mpmath.workdps(50):
+        for cell in window.lattice.cells()[::5]:
+            eta = [mpmath.mpf(one) for one in BOTH(*cell)]
+            for lens, (face, given) in enumerate(zip((body.front, body.back), EVEN, strict=True)):
+                conic = mpmath.mpf(given.get("conic", 0))
+                for axis in (0, 1):
+                    k = 2 / (1 - eta[axis]) * (1 if lens == 0 else -eta[axis])
+                    at = mpmath.mpf("0.21") / k
+                    bent = at**2 / mpmath.mpf(given["radius"])
+                    root = mpmath.sqrt(1 - (1 + conic) * (at / mpmath.mpf(given["radius"])) ** 2)
+                    terms = [given.get(name, [0])[-axis] for name in ("a4", "a6", "a8")]
+                    rise = bent / (1 + root) + sum(
+                        mpmath.mpf(t) * at ** (4 + 2 * j) for j, t in enumerate(terms)
+                    )
+                    x, y = np.array([[0.21], [0.0]])[:: 1 - 2 * axis]
+                    found = face_height(window, face, x, y, cell[None]) - face.vertex[2]
+                    assert abs(found[0] - face.side * k * rise) < 4e-15
+    alike = built(tmp_path, across(WIDELY, WIDELY), still, pair__offset="paraxial", **GIVEN_EVEN)
+    one = built(tmp_path, WIDELY, still, pair__offset="paraxial", **GIVEN_EVEN)
+    for cell in one.lattice.cells()[::5]:
+        for a, b in zip(alike.faces, one.faces, strict=True):
+            assert alike.in_cell(a, cell).surface == one.in_cell(b, cell).surface
 
 
 def test_a_table_that_has_the_eta_of_the_law_in_every_cell_makes_the_sheet_of_that_law(tmp_path):
@@ -655,18 +790,23 @@ PRESENT = {
 }  # fmt: skip
 
 
+ONE_OR_TWO = {"one": spread(-0.9, -1.3), "two": across(spread(-0.95, -1.2), spread(-1.15, -1.0))}
+
+
 @pytest.mark.parametrize(
-    ("feature", "turn"),
+    ("feature", "turn", "etas"),
     [
-        (feature, turn)
+        (feature, turn, etas)
         for feature in PRESENT
         for turn in (None, slightly)
+        for etas in ONE_OR_TWO
         if turn is None or feature != "tilt"
     ],
 )
-def test_each_feature_works_with_a_table_of_eta_and_one_of_turns(tmp_path, feature, turn):
+def test_each_feature_works_with_a_table_of_eta_and_one_of_turns(tmp_path, feature, turn, etas):
     assert ("law.varying", feature) not in REASONS
-    made = design(tmp_path, spread(-0.9, -1.3), turn=turn, **PRESENT[feature])
+    keys = {} if feature != "field lens" or etas == "one" else {"pair__field": {"gap": 0.8}}
+    made = design(tmp_path, ONE_OR_TWO[etas], turn=turn, **PRESENT[feature] | keys)
     window = clacad.prescribe(made)
     assert window.many_sizes
     slope = np.divide(window.thin.shift, window.thin.offset[2])

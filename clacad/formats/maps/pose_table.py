@@ -39,6 +39,7 @@ POLYNOMIAL = {
 HIGHER = (
     "; in the bracket also + a6 . (x^6, x^4 y^2, x^2 y^4, y^6) + a8 . (x^8, x^6 y^2, x^4 y^4, x^2 y^6, y^8)"
 )
+STRETCHED = ", a term x^m y^n by its power n (m + n - 1)/(m + n)"
 COLUMNS = ("face", "i", "j", "apex_x_mm", "apex_y_mm", "apex_z_mm", "phi_deg", "theta_deg", "psi_deg")
 
 
@@ -113,7 +114,7 @@ def _of_its_own(window: Window, face: Face, scale: float) -> dict[str, Any]:
         found["aspect"] = (
             "cell by cell in the pose table: first the curvature along y is multiplied by it, and kappa by"
             " its square root"
-        )
+        ) + STRETCHED * isinstance(face.surface, EvenPolynomial)
     return found
 
 

@@ -293,7 +293,7 @@ def polynomial_root(surface: EvenPolynomial, base: Columns, ray: Columns) -> Flo
     first, last = _real_stretch(surface, base, up)
     found = np.full(base[0].shape, np.nan)
     rows = np.flatnonzero(first <= last)
-    search = _Search(surface, first[rows], last[rows])
+    search = _Search(of_rows(surface, rows), first[rows], last[rows])
     t = np.clip(np.zeros(rows.size), search.first, search.last)
     low, high = np.full(rows.size, -np.inf), np.full(rows.size, np.inf)
     stride = np.zeros(rows.size)
@@ -341,7 +341,7 @@ class _Search:
 
     def of(self, rows: Bools) -> _Search:
         """The search restricted to some of the rays."""
-        return _Search(self.surface, self.first[rows], self.last[rows])
+        return _Search(of_rows(self.surface, rows), self.first[rows], self.last[rows])
 
     def gap(self, base: list[Floats], ray: list[Floats], t: Floats) -> tuple[Floats, Floats, Floats, Floats]:
         """Height over the surface, G·D, w (0 where rounding passes the equator), size of subtracted terms.

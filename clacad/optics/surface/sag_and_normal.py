@@ -46,7 +46,7 @@ def even_terms(a4: A4, a6: A6, a8: A8, x: Floats, y: Floats) -> tuple[Floats, Fl
     """Height of the terms and its slopes in x and y, (n,) each, over x, y (n,), lengths."""
     xx, yy = x * x, y * y
     height, px, py = _fourth(a4, xx, yy)
-    if any(a6) or any(a8):
+    if np.ndim(a6[0]) or any(a6) or any(a8):
         six, eight = _sixth(a6, xx, yy), _eighth(a8, xx, yy)
         height, px, py = (
             one + (two + three) for one, two, three in zip((height, px, py), six, eight, strict=True)
@@ -249,34 +249,44 @@ def stretched(surface: Surface, aspect: ArrayLike) -> Surface:
     """The surface with its curvature along y times `aspect`, for the same recipe of its form.
 
     A quadric's κ, the geometric mean of its curvatures or a depth, is multiplied by sqrt(aspect); the conic
-    constants of a biconic are kept. With an aspect for each of n points, curvature and κ are arrays (n,).
+    constants of a biconic are kept. A term x^m y^n of order N = m + n is multiplied by aspect^(n (N − 1)/N):
+    scaled about its apex, the profile along either axis is then that of the lens scaled for this axis. With
+    an aspect for each of n points, what it changes are arrays (n,).
     """
     of: Any = aspect
+    changed: dict[str, Any] = {"curvature_y": surface.curvature_y * of}
     if isinstance(surface, Quadric):
-        kappa: Any = surface.kappa * np.sqrt(of)
-        return replace(surface, curvature_y=surface.curvature_y * of, kappa=kappa)
-    if isinstance(surface, EvenPolynomial):
-        raise ValueError("even terms are not stretched")
-    return replace(surface, curvature_y=surface.curvature_y * of)
+        changed["kappa"] = surface.kappa * np.sqrt(of)
+    elif isinstance(surface, EvenPolynomial):
+        higher = ("a6", "a8") if any(surface.a6) or any(surface.a8) else ()
+        for name in ("a4", *higher):
+            terms = getattr(surface, name)
+            order = 2 * len(terms) - 2
+            changed[name] = tuple(one * of ** (2 * k * (order - 1) / order) for k, one in enumerate(terms))
+    return replace(surface, **changed)
 
 
 def of_rows(surface: Given, rows: Ints | Bools) -> Given:
     """The surface of some of the points, where it differs from point to point (`stretched`)."""
     if np.ndim(surface.curvature_y) == 0:
         return surface
-    changed: dict[str, Any] = {
-        name: getattr(surface, name)[rows]
-        for name in ("curvature_y", "kappa")
-        if np.ndim(getattr(surface, name, 0.0))
-    }
-    return replace(surface, **changed)
+    return replace(
+        surface, **{one.name: _rows_of(getattr(surface, one.name), rows) for one in fields(surface)}
+    )
+
+
+def _rows_of(value: Any, rows: Ints | Bools) -> Any:
+    """Some of the numbers of a field of a surface, which has one for all points or one each."""
+    if isinstance(value, tuple):
+        return tuple(_rows_of(one, rows) for one in value)
+    return value[rows] if np.ndim(value) else value
 
 
 def sharpest_bend(surface: Surface, reach: float) -> float:
     """Bound (1/length) of a face's second derivatives: apex curvatures plus even terms within `reach`."""
     bend = abs(surface.curvature_x) + float(np.max(np.abs(surface.curvature_y)))
     if isinstance(surface, EvenPolynomial):
-        bend += sharpest_of_terms(surface.a4, surface.a6, surface.a8, reach)
+        bend += float(np.max(sharpest_of_terms(surface.a4, surface.a6, surface.a8, reach)))
     return bend
 
 

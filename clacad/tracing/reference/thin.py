@@ -57,7 +57,8 @@ class ThinPatch:
     @property
     def blind(self) -> int:
         """As `Face.blind`, of a field lens."""
-        if self.array < 2 or 0.0 not in self.power or self.power == (0.0, 0.0):
+        own_axes = self.change is not None and self.change.rotation is not None
+        if self.array < 2 or own_axes or 0.0 not in self.power or self.power == (0.0, 0.0):
             return 0
         flat = self.power.index(0.0)
         return 1 + int(abs(self.rotation[1, flat]) > abs(self.rotation[0, flat]))
@@ -283,7 +284,7 @@ def _through_field(layout: Layout, ledger: Ledger, gone: Passed, left: ThinPatch
     gone, met = gone.take(here), met.take(here)
     own = gone.one.beam.cell
     cell = met.beam.cell
-    blind = patch.blind
+    blind = 0 if layout.lattice.hexagonal else patch.blind
     if blind:  # the cells are one cylinder along that index
         cell = cell.copy()
         cell[:, blind - 1] = own[:, blind - 1]
