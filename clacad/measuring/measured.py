@@ -19,7 +19,7 @@ from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.checks.check import Check, short_table
 from clacad.checks.file_kinds import CANNOT_SAY
-from clacad.measuring.fit_lenslets import NAMES
+from clacad.measuring.fit_lenslets import FIRST, NAMES, conic
 from clacad.measuring.form_and_seams import Surface
 from clacad.measuring.light_through_form import FormLight
 from clacad.measuring.scales import Scale
@@ -340,12 +340,14 @@ def form_rms(one: Surface) -> float:
     u, v = lens.aperture.grid(21)
     cells = one.lit.cells.of(lens.index)
     plane = np.column_stack([np.ones(len(u)), u, v, u * u + v * v])
-    squares = []
-    for k in range(len(lens.index)):
-        off = lens.heights(k, u, v) - one.lit.side.heights(cells[k], u, v)
-        off = off - plane @ np.linalg.lstsq(plane, off, rcond=None)[0]
-        squares.append(float(np.mean(off**2)))
-    return float(np.sqrt(np.mean(squares)))
+    flat, forms, squares, side = np.linalg.pinv(plane), lens.forms(u, v), 0.0, one.lit.side
+    for k in range(0, len(cells), FIRST):
+        own = cells[k : k + FIRST]
+        wanted = np.array([side.heights(cell, u, v) for cell in (own[:1] if side.alike else own)])
+        off = conic(lens.values[k : k + FIRST], u, v, slopes=False)[0] - wanted
+        off += lens.form[k : k + FIRST] @ forms.T
+        squares += float(np.mean((off - off @ flat.T @ plane.T) ** 2, axis=1).sum())
+    return float(np.sqrt(squares / len(cells)))
 
 
 # -- files
