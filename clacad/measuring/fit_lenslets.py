@@ -271,7 +271,7 @@ def conic(values: Floats, u: Floats, v: Floats, slopes: bool = True) -> tuple[Fl
 
 
 @dataclass(frozen=True, eq=False)
-class Groups:
+class OwnPoints:
     """Points of a map by their lenslets.
 
     order : (n,) Numbers of the points, those of one lenslet after those of another.
@@ -283,11 +283,11 @@ class Groups:
     count: Ints
 
     @staticmethod
-    def of(number: Ints, most: int) -> Groups:
+    def of(number: Ints, most: int) -> OwnPoints:
         """Points by the number (n,) of their lenslet, less than `most`; −1: of none."""
         order = np.argsort(number.astype(np.min_scalar_type(-most - 1)), kind="stable")
         ends = np.cumsum(np.bincount(number + 1, minlength=most + 1))
-        return Groups(order, ends[:-1], np.diff(ends))
+        return OwnPoints(order, ends[:-1], np.diff(ends))
 
     def batches(self, thin: int | None = None) -> Iterator[tuple[slice, Ints, Bools]]:
         """Lenslets (k of them), numbers (k, w) of their points, and which are theirs: others fill the rows.
@@ -423,7 +423,7 @@ def fit_lenslets(measured: MeasuredMap, design: Pattern, aperture: Aperture, tar
             )
         index, wanted, values = cells[kept], wanted[kept], fitted[kept, :7]
         if last:
-            groups = Groups(groups.order, groups.first[kept], groups.count[kept])
+            groups = OwnPoints(groups.order, groups.first[kept], groups.count[kept])
             fits = _refined(_all_sums(groups, u, v, points[2], values, grid), grid)
             values = fits.values
         found, plane, values = _placed(found, index, values, wanted)
@@ -517,7 +517,7 @@ def _levelling(slopes: Floats) -> Floats:
 
 def _grouped(
     points: Floats, found: Found, aperture: Aperture, grid: _Grid, most: int | None
-) -> tuple[Ints, Floats, Groups]:
+) -> tuple[Ints, Floats, OwnPoints]:
     """Whole cells (m, 2), or `most` of them, and their points: places (2, n) of all in the axes of their
     cells, from their centres, and which belong to which.
     """
@@ -541,7 +541,7 @@ def _grouped(
     kept = np.flatnonzero(whole)
     if most is not None and len(kept) > most:
         kept = np.sort(np.random.default_rng(0).permutation(kept)[:most])
-    return cells[kept], off, Groups.of(_renumbered(number, kept), len(kept))
+    return cells[kept], off, OwnPoints.of(_renumbered(number, kept), len(kept))
 
 
 def _renumbered(number: Ints, kept: Ints) -> Ints:
@@ -574,7 +574,7 @@ def _are_whole(number: Ints, u: Floats, v: Floats, cells: int, aperture: Apertur
     return np.asarray((held[:, wanted].mean(axis=1) >= PRESENT) & (sides >= ALONG).all(axis=0))
 
 
-def _first_fits(groups: Groups, u: Floats, v: Floats, z: Floats, start: Floats) -> Floats:
+def _first_fits(groups: OwnPoints, u: Floats, v: Floats, z: Floats, start: Floats) -> Floats:
     """Numbers of all lenslets by a part of their points, and the median distance (m, 8) of these."""
     found = np.empty((len(start), 8))
     with np.errstate(over="ignore", invalid="ignore"):  # of no lenslet anything may come
@@ -597,7 +597,7 @@ class _Sums(NamedTuple):
     weight, mean : (m, blocks) Points of each block inside, and their mean.
     square, form : (m, c, c), (m, c) Normal equations of Legendre polynomials over them, and their solution.
     own : (m, c, c). Takes from coefficients what the conic can follow.
-    share : (m, 7, c). Numbers of the conic that follow coefficients, by least squares over the whole aperture.
+    share : (m, 7, c). Numbers of the conic that follow coefficients, by least squares over all the aperture.
     spread : (m,) Variance of a point.
     texture : (m,) Rms of what the polynomials leave of single points.
     """
@@ -625,7 +625,7 @@ class _Sums(NamedTuple):
         return _Sums(*(one[which] for one in self))
 
 
-def _all_sums(groups: Groups, u: Floats, v: Floats, z: Floats, values: Floats, grid: _Grid) -> _Sums:
+def _all_sums(groups: OwnPoints, u: Floats, v: Floats, z: Floats, values: Floats, grid: _Grid) -> _Sums:
     """Block means of all lenslets."""
     parts = [
         _sums(u[rows], v[rows], z[rows], held, values[some], grid) for some, rows, held in groups.batches()

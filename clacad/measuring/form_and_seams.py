@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
-from clacad.measuring.fit_lenslets import CLIPPED, Groups, Lenslets, conic, medians, parts_of
+from clacad.measuring.fit_lenslets import CLIPPED, Lenslets, OwnPoints, conic, medians, parts_of
 from clacad.measuring.light_through_form import MeasuredSide
 from clacad.measuring.read_map import MeasuredMap
 from clacad.measuring.sides import ShownCells
@@ -80,7 +80,7 @@ def surface_of(measured: MeasuredMap, cells: ShownCells, lenslets: Lenslets, u_s
     formed = np.zeros((len(lenslets.index), bins, bins), dtype=bool)
     row, column = _grid_of(measured)
     sq = np.zeros((2, len(lenslets.index)))
-    groups = Groups.of(number, len(lenslets.index))
+    groups = OwnPoints.of(number, len(lenslets.index))
     lines = [np.linspace(-half, half, LOOK_UP) for half in bounds]
     nodes = lenslets.forms(*(one.ravel() for one in np.meshgrid(*lines, indexing="ij")))
     for some, rows, held in groups.batches():
@@ -89,7 +89,8 @@ def surface_of(measured: MeasuredMap, cells: ShownCells, lenslets: Lenslets, u_s
                 target[mine[its]] = side.heights(cell, u[mine[its]], v[mine[its]])
         x, y = u[rows], v[rows]
         rest = z[rows] - conic(lenslets.values[some], x, y, slopes=False)[0]
-        rest -= np.take_along_axis(lenslets.form[some] @ nodes.T, _node(x, y, bounds), 1)
+        i, j = parts_of(x, y, bounds * (LOOK_UP / (LOOK_UP - 1.0)), LOOK_UP)  # the nearest node
+        rest -= np.take_along_axis(lenslets.form[some] @ nodes.T, i * LOOK_UP + j, 1)
         inner = held & lenslets.aperture.holds(x, y)
         spread = 1.4826 * medians(np.abs(rest - medians(rest, inner)[:, None]), inner)
         sound = held & (np.abs(rest) <= (CLIPPED * spread + 1e-9 * float(bounds.min()))[:, None])
@@ -115,15 +116,6 @@ def _grid_of(measured: MeasuredMap) -> tuple[Ints, Ints]:
     return at[1], at[0]
 
 
-def _node(u: Floats, v: Floats, bounds: Floats) -> Ints:
-    """Numbers of the nodes nearest to places of a cell."""
-    i, j = (
-        np.clip(np.rint((one / half + 1.0) * 0.5 * (LOOK_UP - 1)).astype(np.int64), 0, LOOK_UP - 1)
-        for one, half in zip((u, v), bounds, strict=True)
-    )
-    return np.asarray(i * LOOK_UP + j)
-
-
 def _formed(u: Floats, v: Floats, sound: Bools, held: Bools, bounds: Floats, bins: int) -> Bools:
     """Parts (m, bins, bins) of cells that are formed surface; lost points among formed ones are formed."""
     i, j = parts_of(u, v, bounds, bins)
@@ -147,33 +139,20 @@ def _texture(rest: Floats, used: Bools, row: Ints, column: Ints, regular: bool) 
     doubt = whole * np.sqrt(5.0 / count)
     size = np.sqrt(whole)
     if regular:
-        at = []
-        for one in (row, column):
-            low = np.where(used, one, one.max()).min(axis=1)
-            at.append(np.where(used, one - low[:, None], 0))
-        grid, known = np.zeros((2, len(rest), *(int(one.max()) + 1 for one in at)))
-        lens = np.nonzero(used)[0]
-        grid[lens, at[0][used], at[1][used]], known[lens, at[0][used], at[1][used]] = rest[used], 1.0
-        like = np.array(
-            [
-                0.5 * sum(_product(grid[a], grid[b], known[a], known[b]) for a, b in _apart(k))
-                for k in range(1, min(LAGS, min(grid.shape[1:]) - 1) + 1)
-            ]
-        )
-        if len(like) > 1:
-            least = np.maximum(2.0 * like[0] - like[1], np.abs(like).max(axis=0))
-            size = np.sqrt(np.minimum(whole, np.maximum(least, 0.0)))
-            return size, np.minimum(np.sqrt(doubt), doubt / np.maximum(2.0 * size, 1e-300))
+        low = [np.where(used, one, one.max()).min(axis=1)[:, None] for one in (row, column)]
+        at = np.nonzero(used)[0], (row - low[0])[used], (column - low[1])[used]
+        grid, known = np.zeros((2, len(rest), *(int(one.max(initial=0)) + 1 for one in at[1:])))
+        grid[at], known[at] = rest[used], 1.0
+        both = (grid, known), (grid.swapaxes(1, 2), known.swapaxes(1, 2))
+        lags = range(1, 1 + max(2, min(LAGS, min(grid.shape[1:]) - 1)))
+        like = 0.5 * np.array([[_product(*one, lag) for one in both] for lag in lags]).sum(axis=1)
+        least = np.maximum(2.0 * like[0] - like[1], np.abs(like).max(axis=0))
+        size = np.sqrt(np.minimum(whole, np.maximum(least, 0.0)))
+        return size, np.minimum(np.sqrt(doubt), doubt / np.maximum(2.0 * size, 1e-300))
     return size, 0.5 * np.sqrt(doubt)
 
 
-def _apart(lag: int) -> list[tuple[tuple[slice, ...], tuple[slice, ...]]]:
-    """Parts of grids (m, rows, columns) whose points are `lag` apart, along both axes."""
-    every, on, back = slice(None), slice(lag, None), slice(None, -lag)
-    return [((every, every, on), (every, every, back)), ((every, on), (every, back))]
-
-
-def _product(one: Floats, two: Floats, known: Floats, other: Floats) -> Floats:
-    """Mean product (m,) of what is known of both."""
-    sums, count = (np.einsum("mij,mij->m", *both) for both in ((one, two), (known, other)))
+def _product(grid: Floats, known: Floats, lag: int) -> Floats:
+    """Mean product (m,) of what is known and `lag` rows apart."""
+    sums, count = (np.einsum("mij,mij->m", one[:, lag:], one[:, :-lag]) for one in (grid, known))
     return np.asarray(sums / np.maximum(count, 1.0))

@@ -182,10 +182,11 @@ def _pose(one: Surface) -> dict[str, Any]:
     """Pitch, turn and tilt of a side with their standard uncertainties."""
     lens = one.lenslets
     turn, a, b = lens.pose
-    design = np.column_stack([np.ones(len(lens.index)), lens.index])
-    spread = np.sqrt(np.abs(np.diag(np.linalg.pinv(design.T @ design)))[1:])
-    u = float(np.sqrt(np.mean(lens.u[:, :2] ** 2))) * spread
-    height = float(np.sqrt(np.mean(lens.u[:, 2] ** 2))) * spread
+    middle, along = np.ones((len(lens.index), 1)), lens.lattice.basis[:, 0] / lens.pitch[0]
+    spread = np.linalg.pinv(np.hstack([middle, lens.index]))[1:]
+    u = np.linalg.norm(spread, axis=1) * np.sqrt(np.mean(lens.u[:, :2] ** 2))
+    places = lens.index @ lens.lattice.basis.T @ np.array([along, [-along[1], along[0]]]).T
+    tilts = np.linalg.norm(np.linalg.pinv(np.hstack([middle, places]))[:0:-1] * lens.u[:, 2], axis=1)
     x, y = lens.lattice.basis.T
     skew = float(np.arcsin(np.clip(x @ y / (np.linalg.norm(x) * np.linalg.norm(y)), -1.0, 1.0)))
     return {
@@ -194,7 +195,7 @@ def _pose(one: Surface) -> dict[str, Any]:
         "turn": turn,
         "u_turn": float(u[0] / lens.pitch[0]),
         "tilt": [a, b],
-        "u_tilt": [float(height[1] / lens.pitch[1]), float(height[0] / lens.pitch[0])],
+        "u_tilt": tilts.tolist(),
         "skew": skew,
     }
 
