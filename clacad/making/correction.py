@@ -595,8 +595,8 @@ def _levelled(
     axes = np.array([[along[0], -along[1]], [along[1], along[0]]])
     place = np.stack([x, y])
     for _ in range(4):
-        cell = np.rint(lattice.index(place[0], place[1])).astype(np.int64)
-        u, v = axes.T @ (place - lattice.centres(cell.T).T)
+        cell, aside = lattice.nearest(place[0], place[1])
+        u, v = axes.T @ aside
         height = plane[0] + plane[1:] @ place + side.outward(u, v) + off
         seen = level.T @ np.vstack([place, height])
         place = place + np.stack([x, y]) - seen[:2]

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import hypot, pi
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +26,11 @@ BLOCKS = 50
 FEWEST_BLOCKS = 8
 """Blocks over one pitch by which it is searched, at least."""
 
-ENOUGH = 60_000
-"""Blocks by which the phases of waves are found, at most."""
+FINEST = 1024
+"""Frequencies along an axis at which power is looked for, where they are twice the blocks at least."""
+
+SOME = 200_000
+"""Points or blocks of a large map by which what all show is found."""
 
 DEEP = 4.0
 """Distance of blocks from their plane over its upper quartile from which they are letters, holes or dirt."""
@@ -58,6 +62,7 @@ class NotMeasurable(UnreadableFile):
 
 
 NDArrayComplex = NDArray[np.complex128]
+Array = TypeVar("Array", Floats, Ints)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +78,12 @@ class Found:
     basis: Floats
     turn: float = 0.0
 
-    def index(self, x: Floats, y: Floats) -> Floats:
-        """Coordinates (2, n) of places in steps of the lattice, not rounded."""
-        solved = np.linalg.inv(self.basis) @ np.stack([x - self.origin[0], y - self.origin[1]])
-        return np.asarray(solved)
+    def nearest(self, x: Floats, y: Floats) -> tuple[Ints, Floats]:
+        """Cells (2, n) of places, and the places (2, n) from their centres."""
+        place = np.linalg.inv(self.basis) @ np.stack([x - self.origin[0], y - self.origin[1]])
+        cell = np.rint(place)
+        place -= cell
+        return cell.astype(np.int64), np.asarray(self.basis @ place)
 
     def centres(self, index: Ints) -> Floats:
         """Centres (n, 2) of cells (n, 2)."""
@@ -136,8 +143,7 @@ class _Blocks:
         Sums over all blocks would take seams that were not measured for heights.
         """
         row, column = np.nonzero(self.weight)
-        few = np.random.default_rng(0).random(len(row)) < ENOUGH / len(row)
-        row, column = row[few], column[few]
+        row, column = thinned(np.stack([row, column]), SOME // 4)
         angle = 2.0 * pi * np.stack([self.x[column], self.y[row]], axis=1) @ waves.T
         every = np.hstack([k * angle for k in (1, 2, 3)])
         root = np.sqrt(self.weight[row, column])
@@ -242,6 +248,21 @@ def _factor(across: float) -> str:
     return ""
 
 
+def thinned(points: Array, most: int = SOME) -> Array:
+    """About `most` of the points (..., n) of a large map, evenly chosen; all of a small one."""
+    count = points.shape[-1]
+    if count <= most:
+        return points
+    return points[..., np.random.default_rng(0).random(count) < most / count]
+
+
+def plane_of(points: Floats) -> Floats:
+    """Height at 0, 0 and slopes (3,) of the plane of points (3, n), by a part of them."""
+    x, y, z = thinned(points)
+    design = np.column_stack([np.ones(len(x)), x, y])
+    return np.asarray(np.linalg.lstsq(design, z, rcond=None)[0])
+
+
 def means(u: Floats, v: Floats, z: Floats) -> tuple[Floats, Bools]:
     """Mean (rows, columns) of heights over unit squares from 0, 0 where none is; where any is."""
     column, row = (np.floor(at + 1e-6).astype(np.int64) for at in (u, v))
@@ -260,13 +281,11 @@ def _blocks(measured: MeasuredMap, size: float) -> _Blocks:
     mean, known = means((x - low[0]) / step[0], (y - low[1]) / step[1], z)
     shape = mean.shape
     gx, gy = (low[k] + (np.arange(shape[1 - k]) + 0.5) * step[k] for k in (0, 1))
-    values = np.zeros(shape)
     for _ in range(2):
-        ry, rx = np.nonzero(known)
-        design = np.column_stack([np.ones(len(rx)), gx[rx], gy[ry]])
-        off = mean[known] - design @ np.linalg.lstsq(design, mean[known], rcond=None)[0]
-        values[known] = off
-        known &= np.abs(values) <= DEEP * np.quantile(np.abs(off), 0.75)
+        ry, rx = thinned(np.stack(np.nonzero(known)))
+        z0, slope_x, slope_y = plane_of(np.stack([gx[rx], gy[ry], mean[ry, rx]]))
+        values = (mean - z0 - slope_x * gx - slope_y * gy[:, None]) * known
+        known &= np.abs(values) <= DEEP * np.quantile(np.abs(values[ry, rx]), 0.75)
     values *= known
     window = np.outer(np.hanning(shape[0] + 2)[1:-1], np.hanning(shape[1] + 2)[1:-1])
     return _Blocks(values * window, window * known, gx, gy)
@@ -281,9 +300,11 @@ def _waves(design: Pattern) -> Floats:
 
 def _searched(blocks: _Blocks, waves: Floats, design: Pattern) -> Floats:
     """The waves turned and scaled to where the power of the map is largest."""
+    from scipy.fft import next_fast_len
+
     blocks = blocks.joined(max(1, int(min(design.pitch) / (FEWEST_BLOCKS * (blocks.x[1] - blocks.x[0])))))
     size = (np.ptp(blocks.x) + 1e-12, np.ptp(blocks.y) + 1e-12)
-    counts = [1 << int(np.ceil(np.log2(4 * n))) for n in blocks.values.shape]
+    counts = [next_fast_len(max(2 * n, min(4 * n, FINEST))) for n in blocks.values.shape]
     power = np.abs(np.fft.fft2(blocks.values, counts))
     step = (blocks.x[1] - blocks.x[0], blocks.y[1] - blocks.y[0])
     bins = [1.0 / (counts[1] * step[0]), 1.0 / (counts[0] * step[1])]

@@ -8,17 +8,28 @@ Distances beyond
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import prod
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
-from clacad.measuring.find_lattice import Found, NDArrayComplex, NotMeasurable, find_lattice
+from clacad.measuring.find_lattice import (
+    SOME,
+    Found,
+    NDArrayComplex,
+    NotMeasurable,
+    find_lattice,
+    plane_of,
+    thinned,
+)
 from clacad.measuring.read_map import MeasuredMap
 from clacad.optics.fit import legendre
-from clacad.sheet.pattern import Pattern, Step
+from clacad.optics.surface.sag_and_normal import Quadric
+from clacad.sheet.pattern import Pattern
 
 MARGIN = 0.01
 """Width (mm) of the strip inside each border of a cell that is not fitted, at most a tenth of the pitch."""
@@ -57,14 +68,20 @@ GUARD = 1.2
 """Factor by which standard deviations are stated larger than the noise of a lenslet gives them: they are
 known to some per cent only, and twice them must hold 95 % of few lenslets, too."""
 
+SMALL = 1e-13 * np.eye(7)
+"""What is added to normal equations, of numbers of one size, for numbers that no point shows."""
+
 STEPS = 8
 """Steps by which the variance of form is found; more change numbers by less than .1 of their uncertainty."""
 
 THIN = 2500
 """Points of a lenslet of the first fit."""
 
-LARGE = 500_000
-"""Points of a map from which a part of them places its cells."""
+FIRST = 300
+"""Lenslets by which lattice, plane and the size of form are found, at most."""
+
+BATCH = 1 << 16
+"""Points that are fitted at once, those of one lenslet at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +98,8 @@ class Aperture:
     half: Floats
 
     def holds(self, u: Floats, v: Floats) -> Bools:
-        """Which places (n,) lie in it."""
-        inside = np.ones(len(u), dtype=bool)
+        """Which places lie in it."""
+        inside = np.ones(u.shape, dtype=bool)
         for (nx, ny), reach in zip(self.normals, self.reach, strict=True):
             inside &= nx * u + ny * v <= reach
         return inside
@@ -138,7 +155,7 @@ class Lenslets:
     aperture: Aperture
     empty: Ints
 
-    @property
+    @cached_property
     def u(self) -> Floats:
         """Standard deviations (m, 7) of `values`."""
         return np.asarray(np.sqrt(np.einsum("mii->mi", self.covariance)))
@@ -175,8 +192,7 @@ class Lenslets:
         (3, n) in the axes of their cells, heights above the plane of the apexes.
         """
         x, y, z = self.level @ points
-        cell = np.rint(self.lattice.index(x, y)).astype(np.int64)
-        off = np.stack([x, y]) - self.lattice.centres(cell.T).T
+        cell, off = self.lattice.nearest(x, y)
         low = self.index.min(axis=0)
         table = np.full(np.ptp(self.index, axis=0) + 3, -1, dtype=np.int64)
         table[tuple((self.index - low + 1).T)] = np.arange(len(self.index))
@@ -205,8 +221,7 @@ class Lenslets:
         """Points (3, n) of a map that lie in no cell with a lenslet, or some of them, from the centre of cell
         (0, 0) in its axes; heights above the plane of the apexes.
         """
-        points = measured.points
-        points = _some(points, LARGE / points.shape[1])
+        points = thinned(measured.points)
         bare = self.level @ points[:, self.placed(points)[0] < 0]
         height = bare[2] - self.plane[0] - self.plane[1:] @ bare[:2]
         return np.vstack([_axes(self.lattice).T @ (bare[:2] - self.lattice.origin[:, None]), height])
@@ -214,34 +229,86 @@ class Lenslets:
     def heights(self, number: int, u: Floats, v: Floats, values: Floats | None = None) -> Floats:
         """Form (n,) of one lenslet over places of its cell: the conic, and what the fit leaves of it."""
         fitted, _ = conic(self.values[number] if values is None else values, u, v, slopes=False)
+        return np.asarray(fitted + self.forms(u, v) @ self.form[number])
+
+    def forms(self, u: Floats, v: Floats) -> Floats:
+        """Polynomials (n, k) of the form over places of a cell; beyond the aperture with their slopes at its
+        border.
+        """
         at = np.stack([u, v]) / self.aperture.half[:, None]
-        near = np.clip(at, -1.0, 1.0)
-        form = self.form[number]
-        rest = legendre(near[0], near[1], len(form)) @ form
-        out = (near != at).any(axis=0)  # beyond the aperture form goes on with its slope at the border
+        near, count = np.clip(at, -1.0, 1.0), self.form.shape[1]
+        found = legendre(near[0], near[1], count)
+        out = (near != at).any(axis=0)
         s, t = (2.0 * near - at)[:, out]
-        rest[out] = 2.0 * rest[out] - legendre(s, t, len(form)) @ form
-        return np.asarray(fitted + rest)
+        found[out] = 2.0 * found[out] - legendre(s, t, count)
+        return found
 
 
 def conic(values: Floats, u: Floats, v: Floats, slopes: bool = True) -> tuple[Floats, Floats]:
-    """Height (n,) of a lenslet over places of its cell, and its derivatives (n, 7) to its numbers."""
-    x0, y0, z0, c, k, a, b = values
+    """Heights (n,) of a lenslet over places of its cell, and its derivatives (7, n) to its numbers (7,).
+
+    Of many lenslets at once: numbers (m, 7), places (m, n) or (n,), heights (m, n), derivatives (m, 7, n).
+    """
+    x0, y0, z0, c, k, a, b = np.moveaxis(values, -1, 0)[..., None]
     x, y = u - x0, v - y0
-    r2 = x * x + y * y
+    xx, yy, xy = x * x, y * y, x * y
+    r2 = xx + yy
     w = np.sqrt(np.maximum(1.0 - (1.0 + k) * c * c * r2, 1e-6))
-    z = z0 - c * r2 / (1.0 + w) - a * (x * x - y * y) - 2.0 * b * x * y
+    deep = r2 / (1.0 + w)
+    z = z0 - c * deep - a * (xx - yy) - 2.0 * b * xy
     if not slopes:
         return z, np.empty((0, 7))
-    slope = np.empty((len(u), 7))
-    slope[:, 0] = c * x / w + 2.0 * a * x + 2.0 * b * y
-    slope[:, 1] = c * y / w - 2.0 * a * y + 2.0 * b * x
-    slope[:, 2] = 1.0
-    slope[:, 3] = -r2 / ((1.0 + w) * w)
-    slope[:, 4] = -0.5 * c**3 * r2 * r2 / (w * (1.0 + w) ** 2)
-    slope[:, 5] = y * y - x * x
-    slope[:, 6] = -2.0 * x * y
+    slope = np.empty((*z.shape[:-1], 7, z.shape[-1]))
+    bend = c / w
+    slope[..., 0, :] = (bend + 2.0 * a) * x + 2.0 * b * y
+    slope[..., 1, :] = (bend - 2.0 * a) * y + 2.0 * b * x
+    slope[..., 2, :] = 1.0
+    slope[..., 3, :] = -deep / w
+    slope[..., 4, :] = -0.5 * c * c * bend * deep * deep
+    slope[..., 5, :] = yy - xx
+    slope[..., 6, :] = -2.0 * xy
     return z, slope
+
+
+@dataclass(frozen=True, eq=False)
+class OwnPoints:
+    """Points of a map by their lenslets.
+
+    order : (n,) Numbers of the points, those of one lenslet after those of another.
+    first, count : (m,) Where those of each lenslet begin there, and how many there are.
+    """
+
+    order: Ints
+    first: Ints
+    count: Ints
+
+    @staticmethod
+    def of(number: Ints, most: int) -> OwnPoints:
+        """Points by the number (n,) of their lenslet, less than `most`; −1: of none."""
+        order = np.argsort(number.astype(np.min_scalar_type(-most - 1)), kind="stable")
+        ends = np.cumsum(np.bincount(number + 1, minlength=most + 1))
+        return OwnPoints(order, ends[:-1], np.diff(ends))
+
+    def batches(self, thin: int | None = None) -> Iterator[tuple[slice, Ints, Bools]]:
+        """Lenslets (k of them), numbers (k, w) of their points, and which are theirs: others fill the rows.
+
+        thin : Points of a lenslet of which only a part is taken: every second, third … of more.
+        """
+        widest = int(self.count.max(initial=1))
+        step = 1 if thin is None else max(1, widest // thin)
+        many = max(1, BATCH * step // widest)
+        for k in range(0, len(self.count), many):
+            count, first = self.count[k : k + many, None], self.first[k : k + many, None]
+            at = np.arange(0, max(1, int(count.max())), step)
+            yield slice(k, k + many), self.order[np.minimum(first + at, len(self.order) - 1)], at < count
+
+
+def medians(values: Floats, held: Bools) -> Floats:
+    """Median (m,) of those values (m, n) that are held: the others count in turn as low and as high."""
+    if not held.all():
+        other = np.where(np.cumsum(~held, axis=-1) % 2, np.inf, -np.inf)
+        values = np.where(held, values, other)
+    return np.asarray(np.median(values, axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,21 +334,21 @@ class _Grid:
     power: float
 
     def block(self, u: Floats, v: Floats) -> Ints:
-        """Block (n,) of each place."""
+        """Block of each place."""
         i, j = parts_of(u, v, self.aperture.half, self.side)
         return np.asarray(i * self.side + j)
 
-    def noise(self, weight: Floats, rest: Floats) -> float:
-        """Variance of a single point, as far as it reaches the numbers of a lenslet.
+    def noise(self, weight: Floats, rest: Floats) -> Floats:
+        """Variance (m,) of a single point of each lenslet, as far as it reaches the numbers of a lenslet.
 
         Of noise that is not white only long waves reach them. Those of the polynomials are gone from what the
         fit leaves; the next shorter ones are taken for them.
 
-        weight, rest : (k,) Points of each block, and mean of what the fit leaves of them.
+        weight, rest : (m, k) Points of each block, and mean of what the fit leaves of them.
         """
-        used = float((weight > 0.0).sum())
-        found = np.abs(self.waves @ (np.sqrt(weight) * rest)) ** 2
-        return float(found.sum()) / (self.power * used / len(weight))
+        used = (weight > 0.0).sum(axis=-1)
+        found = np.abs((np.sqrt(weight) * rest) @ self.waves.T) ** 2
+        return np.asarray(found.sum(axis=-1) / (self.power * used / weight.shape[-1]))
 
 
 def _grid(aperture: Aperture, pixel: float) -> _Grid:
@@ -312,7 +379,7 @@ def _waves(scaled: Floats, longest: float, shortest: float) -> NDArrayComplex:
 
 
 def parts_of(u: Floats, v: Floats, bounds: Floats, bins: int) -> tuple[Ints, Ints]:
-    """Numbers (n,) along both sides of the part of a bounding box (half sizes `bounds`) of each place."""
+    """Numbers along both sides of the part of a bounding box (half sizes `bounds`) of each place."""
     i, j = (
         np.clip(((one / half + 1.0) * (0.5 * bins)).astype(np.int64), 0, bins - 1)
         for one, half in zip((u, v), bounds, strict=True)
@@ -332,7 +399,7 @@ def fit_lenslets(measured: MeasuredMap, design: Pattern, aperture: Aperture, tar
     design : Cells of the face, in the axes of a map.
     Raises NotMeasurable: As `find_lattice`; or no whole lenslet.
     """
-    level = _levelling(plane_of(measured.points))
+    level = _levelling(plane_of(measured.points)[1:])
     start = targets(np.zeros((1, 2), dtype=np.int64))[0]
     found = find_lattice(
         replace(measured, points=level @ measured.points),
@@ -340,50 +407,42 @@ def fit_lenslets(measured: MeasuredMap, design: Pattern, aperture: Aperture, tar
         lambda u, v: conic(start, u, v, slopes=False)[0],
     )
     grid = _grid(aperture, max(measured.pixel))
-    few = _some(measured.points, THIN * prod(measured.pixel) / float(np.prod(2.0 * aperture.half)))
+    lenslets = prod(measured.shape) * prod(measured.pixel) / float(np.prod(2.0 * aperture.half))
+    few, first = thinned(measured.points, max(SOME, int(THIN * lenslets))), np.zeros(7)
     alike = np.ptp(targets(np.array([[0, 0], [1, 0], [0, 1]])), axis=0).any() == 0
     for last in (False, True) if alike else (False, False, True):  # middles of cells follow from lenses
-        cells, groups = _grouped(level @ (measured.points if last else few), found, aperture, grid)
-        wanted = targets(np.array(cells, dtype=np.int64).reshape(-1, 2))
-        first = [_fitted(group, one) for group, one in zip(groups, wanted, strict=True)]
-        kept = [k for k, one in enumerate(first) if _is_lens(one, wanted[k], aperture, groups[k])]
-        if not kept:
+        points = level @ (measured.points if last else few)
+        cells, (u, v), groups = _grouped(points, found, aperture, grid, None if last else FIRST)
+        wanted = targets(cells)
+        fitted = _first_fits(groups, u, v, points[2], wanted + first)
+        kept = np.flatnonzero(_are_lenses(fitted, wanted, aperture))
+        if not len(kept):
             raise NotMeasurable(
                 f"{measured.name}: no whole lenslet: a cell is whole where its measured aperture"
                 f" lies in the map and {100 * PRESENT:g} % of its parts hold points"
             )
-        values = np.array([first[k] for k in kept])
+        index, wanted, values = cells[kept], wanted[kept], fitted[kept, :7]
         if last:
-            fits = _refined([_sums(groups[k], one, grid) for k, one in zip(kept, values, strict=True)], grid)
-            values = np.array([one.values for one in fits])
-        index = np.array(cells)[kept]
-        found, plane, values = _placed(found, index, values, wanted[kept])
+            groups = OwnPoints(groups.order, groups.first[kept], groups.count[kept])
+            fits = _refined(_all_sums(groups, u, v, points[2], values, grid), grid)
+            values = fits.values
+        found, plane, values = _placed(found, index, values, wanted)
         if not last:
             level = _levelling(plane[1:]) @ level
-    covariance, form, u_form, texture = (
-        np.array([getattr(one, name) for one in fits]) for name in ("covariance", "form", "u_form", "texture")
-    )
-    empty = _empty(measured, few, level, found, aperture, cells, index)
+            first = np.median(values - wanted, axis=0) * [0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0]
     return Lenslets(
         index,
         values,
-        GUARD**2 * covariance,
-        form,
-        GUARD * u_form,
-        texture,
+        GUARD**2 * fits.covariance,
+        fits.form,
+        GUARD * fits.u_form,
+        fits.texture,
         found,
         level,
         plane,
         aperture,
-        empty,
+        _empty(measured, few, level, found, aperture, cells, index),
     )
-
-
-def _some(points: Floats, share: float) -> Floats:
-    """A share of the points (3, n) of a large map, which places its cells; all of a small one."""
-    if points.shape[1] <= LARGE:
-        return points
-    return points[:, np.random.default_rng(0).random(points.shape[1]) < share]
 
 
 def _empty(
@@ -392,12 +451,12 @@ def _empty(
     level: Floats,
     found: Found,
     aperture: Aperture,
-    seen: Sequence[Step],
+    seen: Ints,
     index: Ints,
 ) -> Ints:
     """Cells (k, 2) whose apertures lie in a map, and which hold few points, or no lenslet but points enough.
 
-    points : (3, n) of the map; seen : Cells with points enough for a fit; index : (m, 2) the lenslets.
+    points : (3, n) of the map; seen : (s, 2) Cells with points enough for a fit; index : (m, 2) the lenslets.
     """
     size = 0.5 * np.array(measured.shape[::-1]) * measured.pixel
     reach = int(np.hypot(*size) / np.hypot(*found.basis).min()) + 1
@@ -406,45 +465,41 @@ def _empty(
     at = found.centres(every)[:, :, None] + corners
     flat = np.einsum("ik,mkc->mic", level.T[:2, :2], at)
     every = every[(np.abs(flat) <= size[:, None]).all(axis=(1, 2))]
-    x, y = level[:2] @ points
-    cell = np.rint(found.index(x, y)).astype(np.int64)
-    held = np.zeros(2 * reach + np.array([3, 3]), dtype=np.int64)
-    at = np.clip(cell + reach + 1, 0, 2 * reach + 2)
-    held += np.bincount(at[0] * held.shape[1] + at[1], minlength=held.size).reshape(held.shape)
-    points = held[tuple((every + reach + 1).T)]
+
+    def counted(cells: Ints) -> Ints:
+        rows = 2 * reach + 3
+        i, j = np.clip(cells + reach + 1, 0, rows - 1)
+        return np.bincount(i * rows + j, minlength=rows * rows).reshape(rows, rows)
+
+    held, fitted, lenses = (counted(one) for one in (found.nearest(*level[:2] @ points)[0], seen.T, index.T))
     usual = np.median(held[tuple((index + reach + 1).T)])
-    lenses, fitted = set(map(tuple, index.tolist())), set(seen)
-    bare = np.array([tuple(one) in fitted - lenses for one in every.tolist()], dtype=bool)
-    return np.asarray(every[bare | (points < HALF * usual)])
+    bare = (fitted > lenses) | (held < HALF * usual)
+    return np.asarray(every[bare[tuple((every + reach + 1).T)]])
 
 
 HALF = 0.5
 """Share of the usual number of points below which a cell holds no lenslet."""
 
 
-def _is_lens(values: Floats, wanted: Floats, aperture: Aperture, table: Floats) -> bool:
-    """Whether fitted numbers are those of a lenslet of the design: its sag, and its middle; and whether
-    points (3, n) follow them, as those of letters do not.
+def _are_lenses(fitted: Floats, wanted: Floats, aperture: Aperture) -> Bools:
+    """Which fits (m, 8) are those of lenslets of the design: by sag and middle; and whether points follow
+    them, as those of letters do not.
     """
-    square = float(aperture.half.max()) ** 2
-    with np.errstate(over="ignore", invalid="ignore"):  # of no lenslet anything may come
-        root = [1.0 - (1.0 + one[4]) * one[3] ** 2 * square for one in (values, wanted)]
-        sag, like = (
-            one[3] / (1.0 + np.sqrt(max(0.0, r))) for one, r in zip((values, wanted), root, strict=True)
+    reach = float(aperture.half.max())
+
+    def sag(numbers: Any) -> Floats:
+        """Sag (m,) of conics at the border of the aperture."""
+        c = numbers[:, 3]
+        return Quadric(c, c, (1.0 + numbers[:, 4]) * c).sag(np.full(len(c), reach), 0.0)
+
+    with np.errstate(all="ignore"):  # of no lenslet anything may come
+        known = np.asarray((np.abs(fitted) < 1e30).all(axis=1))
+        ratio = sag(np.where(known[:, None], fitted, 0.0)) / sag(wanted)
+        aside = np.abs(fitted[:, :2] - wanted[:, :2]) / aperture.half
+        follow = fitted[:, 7] <= UNLIKE * np.abs(wanted[:, 3]) * reach**2
+        return np.asarray(
+            known & (ratio >= LENS[0]) & (ratio <= LENS[1]) & (aside <= 0.5).all(axis=1) & follow
         )
-    if not LENS[0] <= sag / like <= LENS[1]:
-        return False
-    u, v, z = table[:, :: max(1, table.shape[1] // THIN)]
-    off = float(np.median(np.abs(z - conic(values, u, v, slopes=False)[0])))
-    aside = np.abs(values[:2] - wanted[:2]) / aperture.half
-    return bool(aside.max() <= 0.5 and off <= UNLIKE * abs(wanted[3]) * square)
-
-
-def plane_of(points: Floats) -> Floats:
-    """Slopes (2,) of the plane of points (3, n), by a part of them."""
-    x, y, z = points[:, :: max(1, points.shape[1] // 50_000)]
-    design = np.column_stack([np.ones(len(x)), x, y])
-    return np.asarray(np.linalg.lstsq(design, z, rcond=None)[0][1:])
 
 
 def _levelling(slopes: Floats) -> Floats:
@@ -461,35 +516,39 @@ def _levelling(slopes: Floats) -> Floats:
 
 
 def _grouped(
-    points: Floats, found: Found, aperture: Aperture, grid: _Grid
-) -> tuple[list[tuple[int, int]], list[Floats]]:
-    """Whole cells, and the points (3, n) of each in its own axes: those of the lattice, from its centre."""
-    place = found.index(points[0], points[1])
-    cell = np.rint(place).astype(np.int64)
-    off = points[:2] - found.centres(cell.T).T
-    u, v = _axes(found).T @ off
-    kept = np.flatnonzero(aperture.holds(u, v))
-    low, high = cell.min(axis=1), cell.max(axis=1)
-    rows = int(high[1] - low[1]) + 1
-    number = (cell[0, kept] - low[0]) * rows + cell[1, kept] - low[1]
-    order = np.argsort(number.astype(np.min_scalar_type(int(number.max(initial=0)))), kind="stable")
-    kept, number = kept[order], number[order]
-    tiles = min(TILES, max(3, grid.side // 3))
+    points: Floats, found: Found, aperture: Aperture, grid: _Grid, most: int | None
+) -> tuple[Ints, Floats, OwnPoints]:
+    """Whole cells (m, 2), or `most` of them, and their points: places (2, n) of all in the axes of their
+    cells, from their centres, and which belong to which.
+    """
+    cell, off = found.nearest(points[0], points[1])
+    u, v = off = _axes(found).T @ off
+    low = cell.min(axis=1)
+    rows = int(np.ptp(cell[1])) + 1
+    number = (cell[0] - low[0]) * rows + cell[1] - low[1]
+    number[~aperture.holds(u, v)] = -1
+    count = np.bincount(number + 1, minlength=1)[1:]
+    held = np.flatnonzero(count >= 2 * grid.basis.shape[1])
+    cells = np.column_stack(np.divmod(held, rows)) + low
     corners = np.array([[sx * aperture.half[0], sy * aperture.half[1]] for sx in (-1, 1) for sy in (-1, 1)])
+    at = found.centres(cells)[:, None] + corners @ _axes(found).T
     edges = [points[:2].min(axis=1), points[:2].max(axis=1)]
     room = 1e-3 * float(aperture.half.min())
-    cells, groups = [], []
-    for rows_of in np.split(kept, np.flatnonzero(np.diff(number)) + 1):
-        if not len(rows_of):
-            continue
-        one = cell[:, rows_of[0]]
-        at = found.centres(one[None])[0] + corners @ _axes(found).T
-        table = np.stack([u[rows_of], v[rows_of], points[2, rows_of]])
-        inside = (at >= edges[0] - room).all() and (at <= edges[1] + room).all()
-        if inside and len(rows_of) >= 2 * grid.basis.shape[1] and _whole(table, aperture, tiles):
-            cells.append((int(one[0]), int(one[1])))
-            groups.append(table)
-    return cells, groups
+    whole = ((at >= edges[0] - room) & (at <= edges[1] + room)).all(axis=(1, 2))
+
+    number, cells = _renumbered(number, held[whole]), cells[whole]
+    whole = _are_whole(number, u, v, len(cells), aperture, min(TILES, max(3, grid.side // 3)))
+    kept = np.flatnonzero(whole)
+    if most is not None and len(kept) > most:
+        kept = np.sort(np.random.default_rng(0).permutation(kept)[:most])
+    return cells[kept], off, OwnPoints.of(_renumbered(number, kept), len(kept))
+
+
+def _renumbered(number: Ints, kept: Ints) -> Ints:
+    """Numbers (n,) of points, those of the kept cells counted from 0; −1 for others."""
+    table = np.full(int(number.max(initial=0)) + 2, -1, dtype=np.int64)
+    table[kept] = np.arange(len(kept))
+    return np.asarray(table[number])
 
 
 def _axes(found: Found) -> Floats:
@@ -500,40 +559,47 @@ def _axes(found: Found) -> Floats:
     return np.array([[x, -y], [y, x]])
 
 
-def _whole(table: Floats, aperture: Aperture, tiles: int) -> bool:
-    """Whether the points of a cell cover its aperture."""
+def _are_whole(number: Ints, u: Floats, v: Floats, cells: int, aperture: Aperture, tiles: int) -> Bools:
+    """Whether the points of each cell, by the number (n,) of theirs, cover its aperture."""
     line = (np.arange(tiles) + 0.5) / tiles * 2.0 - 1.0
     gx, gy = np.meshgrid(*(line * half for half in aperture.half), indexing="ij")
     wanted = aperture.holds(gx.ravel(), gy.ravel())
-    i, j = parts_of(table[0], table[1], aperture.half, tiles)
-    count = np.bincount(i * tiles + j, minlength=tiles * tiles)
-    held = (count >= max(1.0, 0.2 * float(np.median(count[wanted])))) | ~wanted
-    square = held.reshape(tiles, tiles)
-    sides = (square[0], square[-1], square[:, 0], square[:, -1])
-    return bool(held[wanted].mean() >= PRESENT and all(side.mean() >= ALONG for side in sides))
+    i, j = parts_of(u, v, aperture.half, tiles)
+    tile = np.where(number < 0, 0, number * tiles * tiles + i * tiles + j + 1)
+    count = np.bincount(tile, minlength=cells * tiles * tiles + 1)[1:].reshape(cells, -1)
+    usual = np.median(count[:, wanted], axis=1) if cells else np.zeros(0)
+    held = (count >= np.maximum(1.0, 0.2 * usual)[:, None]) | ~wanted
+    square = held.reshape(cells, tiles, tiles)
+    sides = np.stack([square[:, 0], square[:, -1], square[:, :, 0], square[:, :, -1]]).mean(axis=2)
+    return np.asarray((held[:, wanted].mean(axis=1) >= PRESENT) & (sides >= ALONG).all(axis=0))
 
 
-def _fitted(table: Floats, start: Floats) -> Floats:
-    """Numbers (7,) of one lenslet by a part of its points (3, n)."""
-    u, v, z = table[:, :: max(1, table.shape[1] // THIN)]
-    values = start.copy()
-    values[2] += np.median(z - conic(values, u, v, slopes=False)[0])
-    values = _solved(values, u, v, z, 2)
-    kept = _near(z - conic(values, u, v, slopes=False)[0])
-    return _solved(values, u[kept], v[kept], z[kept], 3)
+def _first_fits(groups: OwnPoints, u: Floats, v: Floats, z: Floats, start: Floats) -> Floats:
+    """Numbers of all lenslets by a part of their points, and the median distance (m, 8) of these."""
+    found = np.empty((len(start), 8))
+    with np.errstate(over="ignore", invalid="ignore"):  # of no lenslet anything may come
+        for some, rows, held in groups.batches(THIN):
+            own = u[rows], v[rows], z[rows]
+            values = start[some].copy()
+            values[:, 2] += medians(own[2] - conic(values, *own[:2], slopes=False)[0], held)
+            values = _solved(values, *own, 2, held)
+            kept = _near(own[2] - conic(values, *own[:2], slopes=False)[0], held)
+            found[some, :7] = values = _solved(values, *own, 2, kept)
+            off = np.abs(own[2] - conic(values, *own[:2], slopes=False)[0])
+            found[some, 7] = medians(off, held)
+    return found
 
 
-@dataclass(frozen=True, eq=False)
-class _Sums:
-    """Block means of what a first fit leaves of a lenslet.
+class _Sums(NamedTuple):
+    """Block means of what the first fits of lenslets leave.
 
-    values : (7,) The first fit.
-    weight, mean : (blocks,) Points of each block inside, and their mean.
-    square, form : (c, c), (c,) Normal equations of Legendre polynomials over them, and their solution.
-    own : (c, c). Takes from coefficients what the conic can follow.
-    share : (7, c). Numbers of the conic that follow coefficients, by least squares over the whole aperture.
-    spread : Variance of a point.
-    texture : Rms of what the polynomials leave of single points.
+    values : (m, 7) The first fits.
+    weight, mean : (m, blocks) Points of each block inside, and their mean.
+    square, form : (m, c, c), (m, c) Normal equations of Legendre polynomials over them, and their solution.
+    own : (m, c, c). Takes from coefficients what the conic can follow.
+    share : (m, 7, c). Numbers of the conic that follow coefficients, by least squares over all the aperture.
+    spread : (m,) Variance of a point.
+    texture : (m,) Rms of what the polynomials leave of single points.
     """
 
     values: Floats
@@ -543,88 +609,95 @@ class _Sums:
     form: Floats
     own: Floats
     share: Floats
-    spread: float
-    texture: float
+    spread: Floats
+    texture: Floats
 
     def inverse(self, weak: Floats) -> Floats:
-        """Inverse (c, c) of the normal equations with the weights `weak` (c,) of form beyond the conic."""
-        return np.asarray(np.linalg.inv(self.square + self.own.T @ (weak[:, None] * self.own)))
+        """Inverse (m, c, c) of the normal equations with the weights `weak` (c,) of form beyond the conic."""
+        return np.asarray(np.linalg.inv(self.square + self.own.swapaxes(1, 2) @ (weak[:, None] * self.own)))
 
     def variances(self, inverse: Floats) -> Floats:
-        """Variances (c,) of the coefficients of form beyond the conic."""
-        return np.asarray(self.spread * np.einsum("ij,jk,ik->i", self.own, inverse, self.own))
+        """Variances (m, c) of the coefficients of form beyond the conic."""
+        return np.asarray(self.spread[:, None] * ((self.own @ inverse) * self.own).sum(axis=2))
+
+    def some(self, which: slice | Ints) -> _Sums:
+        """Those of some lenslets."""
+        return _Sums(*(one[which] for one in self))
 
 
-def _sums(table: Floats, values: Floats, grid: _Grid) -> _Sums:
-    """Block means of one lenslet by all its points (3, n), without spikes and dirt."""
-    u, v, z = table
+def _all_sums(groups: OwnPoints, u: Floats, v: Floats, z: Floats, values: Floats, grid: _Grid) -> _Sums:
+    """Block means of all lenslets."""
+    parts = [
+        _sums(u[rows], v[rows], z[rows], held, values[some], grid) for some, rows, held in groups.batches()
+    ]
+    return _Sums(*(np.concatenate(one) for one in zip(*parts, strict=True)))
+
+
+def _sums(u: Floats, v: Floats, z: Floats, held: Bools, values: Floats, grid: _Grid) -> _Sums:
+    """Block means of lenslets by all their points (m, n) that are held, without spikes and dirt."""
     off = z - conic(values, u, v, slopes=False)[0]
     block = grid.block(u, v)
-    smooth = np.zeros(grid.side * grid.side)
-    smooth[grid.inside] = grid.basis @ _form(off, block, _near(off), grid)[0]
-    kept = _near(off - smooth[block])
+    smooth = np.zeros((len(values), grid.side * grid.side))
+    smooth[:, grid.inside] = _form(off, block, _near(off, held), grid)[0] @ grid.basis.T
+    kept = _near(off - np.take_along_axis(smooth, block, 1), held)
     form, square, weight, mean = _form(off, block, kept, grid)
-    smooth[grid.inside] = grid.basis @ form
+    smooth[:, grid.inside] = fitted = form @ grid.basis.T
     slopes = conic(values, *grid.places)[1]
     # the aperture as a whole counts, not the points that were not lost: of both the form is weighed alike
-    share = _least_squares(slopes, np.ones(len(weight)), mean)[1] @ grid.basis
-    own = np.eye(len(form)) - grid.inverse @ slopes @ share
-    spread = max(grid.noise(weight, mean - grid.basis @ form), 1e-300)
-    texture = float(np.sqrt(np.mean((off - smooth[block])[kept] ** 2)))
+    share = _least_squares(slopes, np.ones_like(weight), mean)[1] @ grid.basis
+    own = np.eye(form.shape[1]) - grid.inverse @ slopes.swapaxes(1, 2) @ share
+    spread = np.maximum(grid.noise(weight, mean - fitted), 1e-300)
+    rest = np.where(kept, off - np.take_along_axis(smooth, block, 1), 0.0)
+    texture = np.sqrt((rest * rest).sum(axis=1) / np.maximum(kept.sum(axis=1), 1))
     return _Sums(values, weight, mean, square, form, own, share, spread, texture)
 
 
-@dataclass(frozen=True, eq=False)
-class _Fit:
+class _Fits(NamedTuple):
     values: Floats
     covariance: Floats
     form: Floats
     u_form: Floats
-    texture: float
+    texture: Floats
 
 
-def _refined(every: Sequence[_Sums], grid: _Grid) -> list[_Fit]:
+def _refined(every: _Sums, grid: _Grid) -> _Fits:
     """Numbers and forms of all lenslets of a map, with their covariances.
 
     Form beyond the conic has, in each degree, the variance that the lenslets of the map show, and the mean 0.
     It decides where no points are: the numbers are those of the form over the whole aperture.
     """
-    weak = _weakness(every, grid.basis.shape[1])
-    fits = []
-    for one in every:
+    lenslets, fits = len(every.values), []
+    chosen = np.unique(np.linspace(0, lenslets - 1, min(FIRST, lenslets)).astype(np.int64))
+    weak = _weakness(every.some(chosen), grid.basis.shape[1])
+    for k in range(0, lenslets, FIRST):
+        one = every.some(slice(k, k + FIRST))
         inverse = one.inverse(weak)
-        form = one.own @ inverse @ (grid.basis.T @ (one.weight * one.mean))
+        right = (one.weight * one.mean) @ grid.basis
+        form = (one.own @ (inverse @ right[..., None]))[..., 0]
         straight, best = _least_squares(conic(one.values, *grid.places)[1], one.weight, one.mean)
+        values = one.values + straight - (best @ (form @ grid.basis.T)[..., None])[..., 0]
+        covariance = one.spread[:, None, None] * (one.share @ inverse @ one.share.swapaxes(1, 2))
         u_form = np.sqrt(np.maximum(one.variances(inverse), 0.0))
-        fits.append(
-            _Fit(
-                one.values + straight - best @ (grid.basis @ form),
-                one.spread * (one.share @ inverse @ one.share.T),
-                form,
-                u_form,
-                one.texture,
-            )
-        )
-    return fits
+        fits.append(_Fits(values, covariance, form, u_form, one.texture))
+    return _Fits(*(np.concatenate(one) for one in zip(*fits, strict=True)))
 
 
-def _weakness(every: Sequence[_Sums], count: int) -> Floats:
+def _weakness(every: _Sums, count: int) -> Floats:
     """Weight (c,), in points, of the expectation that a coefficient is 0: noise over form (variances).
 
     Most likely variance of the coefficients of each degree, found by steps of expectation and maximization;
     degrees that the conic follows are free.
     """
     degree = np.array([d for d in range(count) for _ in range(d + 1)])[:count]
-    noise = float(np.mean([one.spread for one in every]))
+    noise = float(np.mean(every.spread))
     weak = np.where(degree < 3, 0.0, PRIOR)
+    right = every.square @ every.form[..., None]
     for _ in range(STEPS):
-        seen = np.zeros(count)
-        for one in every:
-            inverse = one.inverse(weak)
-            form = one.own @ inverse @ one.square @ one.form
-            seen += form**2 + one.variances(inverse)
+        inverse = every.inverse(weak)
+        form = (every.own @ (inverse @ right))[..., 0]
+        seen = (form**2 + every.variances(inverse)).mean(axis=0)
         for d in range(3, int(degree[-1]) + 1):
-            weak[degree == d] = noise * len(every) / max(float(seen[degree == d].mean()), 1e-300)
+            weak[degree == d] = noise / max(float(seen[degree == d].mean()), 1e-300)
     return weak
 
 
@@ -636,28 +709,32 @@ def pooled_form(u: Floats, v: Floats, off: Floats, aperture: Aperture, pixel: fl
     pixel : length. Distance of neighbouring points of one cell.
     """
     inside = aperture.holds(u, v)
-    u, v, off = u[inside], v[inside], off[inside]
+    u, v, off = u[None, inside], v[None, inside], off[None, inside]
     grid = _grid(aperture, pixel)
-    block = grid.block(u, v)
+    block, every = grid.block(u, v), np.ones(u.shape, dtype=bool)
     smooth = np.zeros(grid.side * grid.side)
-    form, square, weight, mean = _form(off, block, _near(off), grid)
+    form, square, weight, mean = _form(off, block, _near(off, every), grid)
     for _ in range(2):
-        smooth[grid.inside] = grid.basis @ form
-        form, square, weight, mean = _form(off, block, _near(off - smooth[block]), grid)
-    covariance = np.linalg.inv(square + PRIOR * np.eye(len(form)))
-    covariance *= GUARD**2 * grid.noise(weight, mean - grid.basis @ form)
-    return form, np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+        smooth[grid.inside] = grid.basis @ form[0]
+        form, square, weight, mean = _form(off, block, _near(off - smooth[block], every), grid)
+    covariance = np.linalg.inv(square[0] + PRIOR * np.eye(form.shape[1]))
+    covariance *= GUARD**2 * grid.noise(weight, mean - form @ grid.basis.T)
+    return form[0], np.asarray(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
 
 def _least_squares(slopes: Floats, weight: Floats, mean: Floats) -> tuple[Floats, Floats]:
-    """Weighted least squares: the solution (7,), and the matrix (7, k) that gives it of heights (k,)."""
-    size = np.abs(slopes).max(axis=0)  # not their rms: squares of a hostile map's slopes may overflow
+    """Weighted least squares: solutions (m, 7), and the matrices (m, 7, k) that give them of heights (m, k).
+
+    slopes : (m, 7, k)
+    """
+    size = np.abs(slopes).max(axis=2, keepdims=True)  # not their rms: squares of a hostile map's may overflow
     size[size == 0.0] = 1.0
     scaled = slopes / size
-    weighted = (scaled * weight[:, None]).T
-    best = np.linalg.pinv(weighted @ scaled, rcond=1e-13, hermitian=True) @ weighted
-    best = best / size[:, None]
-    return best @ mean, best
+    weighted = scaled * weight[:, None]
+    square = weighted @ scaled.swapaxes(1, 2)
+    square += SMALL * np.trace(square, axis1=1, axis2=2)[:, None, None]
+    best = np.linalg.solve(square, weighted) / size
+    return (best @ mean[..., None])[..., 0], best
 
 
 def fit_heights(
@@ -672,36 +749,45 @@ def fit_heights(
 
 
 def _form(off: Floats, block: Ints, kept: Bools, grid: _Grid) -> tuple[Floats, Floats, Floats, Floats]:
-    """Legendre coefficients of what a fit leaves, by weighted block means.
+    """Legendre coefficients (m, c) of what fits leave (m, n), by weighted block means.
 
-    Returns coefficients, matrix of the normal equations, weight and mean of each block inside.
+    Returns coefficients, matrices of the normal equations, weight and mean of each block inside.
     """
-    size = grid.side * grid.side
-    weight = np.bincount(block[kept], minlength=size)[grid.inside].astype(np.float64)
-    total = np.bincount(block[kept], off[kept], minlength=size)[grid.inside]
+    lenslets, size = len(off), grid.side * grid.side
+    flat = (block + size * np.arange(lenslets)[:, None])[kept]
+    weight, total = (
+        np.bincount(flat, one, lenslets * size).reshape(lenslets, size)[:, grid.inside]
+        for one in (None, off[kept])
+    )
     mean = total / np.maximum(weight, 1.0)
-    weighted = grid.basis * weight[:, None]
-    square = weighted.T @ grid.basis
-    ridge = square + PRIOR * np.eye(len(square))
-    return np.asarray(np.linalg.solve(ridge, weighted.T @ mean)), square, weight, mean
+    weighted = grid.basis.T * weight[:, None]
+    square = weighted @ grid.basis
+    ridge = square + PRIOR * np.eye(square.shape[1])
+    form = np.linalg.solve(ridge, weighted @ mean[..., None])[..., 0]
+    return np.asarray(form), square, np.asarray(weight, dtype=np.float64), mean
 
 
-def _solved(values: Floats, u: Floats, v: Floats, z: Floats, rounds: int) -> Floats:
-    """Numbers of a lenslet after some steps of Gauss and Newton."""
+def _solved(
+    values: Floats, u: Floats, v: Floats, z: Floats, rounds: int, held: Bools | None = None
+) -> Floats:
+    """Numbers of lenslets after some steps of Gauss and Newton, by the points that are held, or all."""
     for _ in range(rounds):
         fitted, slope = conic(values, u, v)
-        square, right = slope.T @ slope, slope.T @ (z - fitted)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(square), 1e-300))
-        step = np.linalg.lstsq(square * scale[:, None] * scale, right * scale, rcond=1e-12)[0]
-        values = values + scale * step
+        if held is not None:
+            slope *= held[..., None, :]
+        scale = 1.0 / np.sqrt(np.maximum(np.square(slope).sum(axis=-1), 1e-300))
+        slope *= scale[..., None]
+        square, right = slope @ slope.swapaxes(-1, -2), slope @ (z - fitted)[..., None]
+        step = np.linalg.solve(np.nan_to_num(square) + SMALL, np.nan_to_num(right))
+        values = values + scale * step[..., 0]
     return values
 
 
-def _near(off: Floats) -> Bools:
-    """Which distances are no spikes and no dirt."""
-    middle = float(np.median(off))
-    spread = float(np.median(np.abs(off - middle)))
-    return np.asarray(np.abs(off - middle) <= CLIPPED * max(1.4826 * spread, 1e-300))
+def _near(off: Floats, held: Bools) -> Bools:
+    """Which distances (m, n) of those held are no spikes and no dirt."""
+    off = off - medians(off, held)[:, None]
+    spread = medians(np.abs(off), held)
+    return np.asarray(held & (np.abs(off) <= CLIPPED * np.maximum(1.4826 * spread, 1e-300)[:, None]))
 
 
 def _placed(found: Found, index: Ints, values: Floats, wanted: Floats) -> tuple[Found, Floats, Floats]:

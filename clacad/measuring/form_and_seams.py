@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
-from clacad.measuring.fit_lenslets import CLIPPED, Lenslets, conic, parts_of
+from clacad.measuring.fit_lenslets import CLIPPED, Lenslets, OwnPoints, conic, medians, parts_of
 from clacad.measuring.light_through_form import MeasuredSide
 from clacad.measuring.read_map import MeasuredMap
 from clacad.measuring.sides import ShownCells
@@ -75,26 +75,27 @@ def surface_of(measured: MeasuredMap, cells: ShownCells, lenslets: Lenslets, u_s
     number, (u, v, z) = lenslets.placed(measured.points)
     own = cells.of(lenslets.index)
     target = side.heights(None, u, v) if side.alike else np.zeros(z.shape)
-    off = np.full(z.shape, np.nan)
     across = 2.0 * float(bounds.min()) / (1.5 * max(measured.pixel))
     bins = int(np.clip(across, 8, BINS))
     formed = np.zeros((len(lenslets.index), bins, bins), dtype=bool)
-    order = np.argsort(number.astype(np.min_scalar_type(-len(lenslets.index))), kind="stable")
-    ends = np.searchsorted(number, np.arange(len(lenslets.index) + 1), sorter=order)
     row, column = _grid_of(measured)
     sq = np.zeros((2, len(lenslets.index)))
-    for k in range(len(lenslets.index)):
-        mine = order[ends[k] : ends[k + 1]]
+    groups = OwnPoints.of(number, len(lenslets.index))
+    lines = [np.linspace(-half, half, LOOK_UP) for half in bounds]
+    nodes = lenslets.forms(*(one.ravel() for one in np.meshgrid(*lines, indexing="ij")))
+    for some, rows, held in groups.batches():
         if not side.alike:
-            target[mine] = side.heights(own[k], u[mine], v[mine])
-        rest = z[mine] - _form(lenslets, k, u[mine], v[mine], bounds)
-        off[mine] = rest
-        inner = lenslets.aperture.holds(u[mine], v[mine])
-        spread = 1.4826 * float(np.median(np.abs(rest[inner] - np.median(rest[inner]))))
-        sound = np.abs(rest) <= CLIPPED * spread + 1e-9 * float(bounds.min())
-        formed[k] = _formed(u[mine], v[mine], sound, bounds, bins)
-        use = inner & sound
-        sq[:, k] = _texture(rest[use], row[mine][use], column[mine][use], measured.regular)
+            for cell, mine, its in zip(own[some], rows, held, strict=True):
+                target[mine[its]] = side.heights(cell, u[mine[its]], v[mine[its]])
+        x, y = u[rows], v[rows]
+        rest = z[rows] - conic(lenslets.values[some], x, y, slopes=False)[0]
+        i, j = parts_of(x, y, bounds * (LOOK_UP / (LOOK_UP - 1.0)), LOOK_UP)  # the nearest node
+        rest -= np.take_along_axis(lenslets.form[some] @ nodes.T, i * LOOK_UP + j, 1)
+        inner = held & lenslets.aperture.holds(x, y)
+        spread = 1.4826 * medians(np.abs(rest - medians(rest, inner)[:, None]), inner)
+        sound = held & (np.abs(rest) <= (CLIPPED * spread + 1e-9 * float(bounds.min()))[:, None])
+        formed[some] = _formed(x, y, sound, held, bounds, bins)
+        sq[:, some] = _texture(rest, inner & sound, row[rows], column[rows], measured.regular)
     table = np.full(measured.shape, np.nan)
     held = number >= 0
     table[row[held], column[held]] = (z - target)[held]
@@ -115,55 +116,43 @@ def _grid_of(measured: MeasuredMap) -> tuple[Ints, Ints]:
     return at[1], at[0]
 
 
-def _form(lenslets: Lenslets, number: int, u: Floats, v: Floats, bounds: Floats) -> Floats:
-    """Form (n,) of a lenslet: its conic, and the rest from a table of it."""
-    lines = [np.linspace(-half, half, LOOK_UP) for half in bounds]
-    gx, gy = (one.ravel() for one in np.meshgrid(*lines, indexing="ij"))
-    rest = lenslets.heights(number, gx, gy) - conic(lenslets.values[number], gx, gy, slopes=False)[0]
-    at = [
-        np.clip(np.rint((one / half + 1.0) * 0.5 * (LOOK_UP - 1)).astype(np.int64), 0, LOOK_UP - 1)
-        for one, half in zip((u, v), bounds, strict=True)
-    ]
-    return np.asarray(conic(lenslets.values[number], u, v, slopes=False)[0] + rest[at[0] * LOOK_UP + at[1]])
-
-
-def _formed(u: Floats, v: Floats, sound: Bools, bounds: Floats, bins: int) -> Bools:
-    """Parts (bins, bins) of a cell that are formed surface; lost points among formed ones are formed."""
+def _formed(u: Floats, v: Floats, sound: Bools, held: Bools, bounds: Floats, bins: int) -> Bools:
+    """Parts (m, bins, bins) of cells that are formed surface; lost points among formed ones are formed."""
     i, j = parts_of(u, v, bounds, bins)
-    flat = i * bins + j
-    good = np.bincount(flat, sound, minlength=bins * bins)
-    count = np.bincount(flat, minlength=bins * bins)
-    formed = (2.0 * good > count).reshape(bins, bins)
-    padded = np.pad(formed, 1, mode="edge").astype(np.int64)
-    around = sum(padded[1 + i : bins + 1 + i, 1 + j : bins + 1 + j] for i in (-1, 0, 1) for j in (-1, 0, 1))
-    return np.asarray(formed | (around >= 4))
+    flat = (np.arange(len(u))[:, None] * bins + i) * bins + j
+    good, count = (np.bincount(flat[one], minlength=len(u) * bins * bins) for one in (sound, held))
+    formed = (2 * good > count).reshape(-1, bins, bins)
+    padded = np.pad(formed, ((0, 0), (1, 1), (1, 1)), mode="edge").astype(np.int8)
+    along = padded[:, :-2] + padded[:, 1:-1] + padded[:, 2:]
+    return np.asarray(formed | (along[..., :-2] + along[..., 1:-1] + along[..., 2:] >= 4))
 
 
-def _texture(rest: Floats, row: Ints, column: Ints, regular: bool) -> tuple[float, float]:
-    """Rms (length) of a texture without noise of single points, and its standard uncertainty."""
-    if len(rest) < 2:
-        return 0.0, 0.0
-    whole = float(np.mean((rest - rest.mean()) ** 2))
-    doubt = whole * np.sqrt(5.0 / len(rest))
-    if not regular:
-        return float(np.sqrt(whole)), 0.5 * float(np.sqrt(doubt))
-    grid = np.full((int(np.ptp(row)) + 1, int(np.ptp(column)) + 1), np.nan)
-    grid[row - row.min(), column - column.min()] = rest - rest.mean()
-    like = np.array(
-        [
-            0.5 * (_product(grid[:, k:], grid[:, :-k]) + _product(grid[k:], grid[:-k]))
-            for k in range(1, min(LAGS, min(grid.shape) - 1) + 1)
-        ]
-    )
-    if len(like) < 2:
-        return float(np.sqrt(whole)), 0.5 * float(np.sqrt(doubt))
-    square = min(whole, max(2.0 * float(like[0]) - float(like[1]), float(np.abs(like).max()), 0.0))
-    size = float(np.sqrt(square))
-    return size, float(min(np.sqrt(doubt), doubt / max(2.0 * size, 1e-300)))
+def _texture(rest: Floats, used: Bools, row: Ints, column: Ints, regular: bool) -> tuple[Floats, Floats]:
+    """Rms (m,) of textures without noise of single points, and their standard uncertainties.
+
+    rest : (m, n) What form leaves of points, of those that are used.
+    """
+    count = np.maximum(used.sum(axis=1), 1)
+    rest = np.where(used, rest, 0.0)
+    rest = np.where(used, rest - (rest.sum(axis=1) / count)[:, None], 0.0)
+    whole = (rest * rest).sum(axis=1) / count
+    doubt = whole * np.sqrt(5.0 / count)
+    size = np.sqrt(whole)
+    if regular:
+        low = [np.where(used, one, one.max()).min(axis=1)[:, None] for one in (row, column)]
+        at = np.nonzero(used)[0], (row - low[0])[used], (column - low[1])[used]
+        grid, known = np.zeros((2, len(rest), *(int(one.max(initial=0)) + 1 for one in at[1:])))
+        grid[at], known[at] = rest[used], 1.0
+        both = (grid, known), (grid.swapaxes(1, 2), known.swapaxes(1, 2))
+        lags = range(1, 1 + max(2, min(LAGS, min(grid.shape[1:]) - 1)))
+        like = 0.5 * np.array([[_product(*one, lag) for one in both] for lag in lags]).sum(axis=1)
+        least = np.maximum(2.0 * like[0] - like[1], np.abs(like).max(axis=0))
+        size = np.sqrt(np.minimum(whole, np.maximum(least, 0.0)))
+        return size, np.minimum(np.sqrt(doubt), doubt / np.maximum(2.0 * size, 1e-300))
+    return size, 0.5 * np.sqrt(doubt)
 
 
-def _product(one: Floats, two: Floats) -> float:
-    """Mean product of what is known of both."""
-    both = one * two
-    known = np.isfinite(both)
-    return float(both[known].mean()) if known.any() else 0.0
+def _product(grid: Floats, known: Floats, lag: int) -> Floats:
+    """Mean product (m,) of what is known and `lag` rows apart."""
+    sums, count = (np.einsum("mij,mij->m", one[:, lag:], one[:, :-lag]) for one in (grid, known))
+    return np.asarray(sums / np.maximum(count, 1.0))

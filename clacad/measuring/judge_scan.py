@@ -163,12 +163,13 @@ def _bond(one: Surface) -> tuple[float, str]:
     for axis, name in ((0, "i"), (1, "j")):
         for edge in np.unique(lens.index[:, axis])[1:]:
             design = np.column_stack([np.ones(len(off)), lens.index, lens.index[:, axis] >= edge])
-            if np.linalg.matrix_rank(design) < 4 or len(off) < 8:
+            square = design.T @ design
+            if np.linalg.matrix_rank(square, 1e-9 * np.trace(square), hermitian=True) < 4 or len(off) < 8:
                 continue
-            solved, *_ = np.linalg.lstsq(design, off, rcond=None)
+            solved = np.linalg.solve(square, design.T @ off)
             rest = float(np.sum((off - design @ solved) ** 2)) / (2 * (len(off) - 4))
             spread = np.sqrt(max(rest, float(np.mean(lens.u[:, :2] ** 2))))
-            clear = float(np.hypot(*solved[3])) / (spread * np.sqrt(np.linalg.inv(design.T @ design)[3, 3]))
+            clear = float(np.hypot(*solved[3])) / (spread * np.sqrt(np.linalg.inv(square)[3, 3]))
             x, y = solved[3] / unit
             words = (
                 f"; two pieces are bonded: from {name} = {edge} on lenslets are displaced by {x:.3g}, {y:.3g}"

@@ -94,11 +94,9 @@ class MeasuredSide:
         u, v = (one.ravel() for one in np.meshgrid(*lines, indexing="ij"))
         height = self.lenslets.heights(number, u, v, self.values(number, draw))
         if draw is not None:
-            count = self.lenslets.form.shape[1]
-            change = np.random.default_rng(number).standard_normal(count) * self.lenslets.u_form[number]
-            one = self.lenslets.heights(number, u, v, np.zeros(7))
-            drawn = Lenslets(**{**vars(self.lenslets), "form": self.lenslets.form + change})
-            height = height + drawn.heights(number, u, v, np.zeros(7)) - one
+            doubt = self.lenslets.u_form[number]
+            change = np.random.default_rng(number).standard_normal(len(doubt)) * doubt
+            height = height + self.lenslets.forms(u, v) @ change
         return self.side.in_sheet(u, v, scale * height), 2.0 * half / (NODES - 1)
 
 

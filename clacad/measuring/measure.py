@@ -18,8 +18,8 @@ from clacad.base.interactive import shown_progress
 from clacad.base.types import Progress
 from clacad.base.vectors import doubled_normals
 from clacad.formats.mesh.compare_instances import body_facing, levels
-from clacad.measuring.find_lattice import NotMeasurable
-from clacad.measuring.fit_lenslets import Lenslets, fit_lenslets, plane_of
+from clacad.measuring.find_lattice import NotMeasurable, plane_of, thinned
+from clacad.measuring.fit_lenslets import Lenslets, fit_lenslets
 from clacad.measuring.form_and_seams import Surface, surface_of
 from clacad.measuring.judge_scan import Scanned, scan_checks
 from clacad.measuring.light_through_form import light_through_form, texture_share
@@ -124,8 +124,8 @@ SURE = 2e-5
 LIKE = (0.5, 2.0)
 """Range of heights of a square as large as a cell over that of the design's lenslets."""
 
-SHOWN, SOME = 0.2, 200_000
-"""Least share of such squares with heights of lenslets, not of land or letters; points looked at."""
+SHOWN = 0.2
+"""Least share of such squares with heights of lenslets, not of land or letters."""
 
 STEEPEST = 0.25
 """Largest tilt (radians) of a map."""
@@ -336,8 +336,8 @@ def _refuse_heights(measured: MeasuredMap, side: Side) -> None:
     """Refuse a map whose heights about their plane are of another order than those of the design's
     lenslets.
     """
-    x, y, z = measured.points[:, :: max(1, measured.points.shape[1] // SOME)]
-    slopes = plane_of(measured.points)
+    x, y, z = thinned(measured.points)
+    slopes = plane_of(measured.points)[1:]
     column, row = (np.floor((at - at.min()) / min(side.lattice.pitch)).astype(np.int64) for at in (x, y))
     square = row * (int(column.max()) + 1) + column
     order = np.argsort(square)

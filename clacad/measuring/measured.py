@@ -19,7 +19,7 @@ from clacad.base.types import Floats
 from clacad.base.units import millimetres
 from clacad.checks.check import Check, short_table
 from clacad.checks.file_kinds import CANNOT_SAY
-from clacad.measuring.fit_lenslets import NAMES
+from clacad.measuring.fit_lenslets import FIRST, NAMES, conic
 from clacad.measuring.form_and_seams import Surface
 from clacad.measuring.light_through_form import FormLight
 from clacad.measuring.scales import Scale
@@ -182,10 +182,11 @@ def _pose(one: Surface) -> dict[str, Any]:
     """Pitch, turn and tilt of a side with their standard uncertainties."""
     lens = one.lenslets
     turn, a, b = lens.pose
-    design = np.column_stack([np.ones(len(lens.index)), lens.index])
-    spread = np.sqrt(np.abs(np.diag(np.linalg.pinv(design.T @ design)))[1:])
-    u = float(np.sqrt(np.mean(lens.u[:, :2] ** 2))) * spread
-    height = float(np.sqrt(np.mean(lens.u[:, 2] ** 2))) * spread
+    middle, along = np.ones((len(lens.index), 1)), lens.lattice.basis[:, 0] / lens.pitch[0]
+    spread = np.linalg.pinv(np.hstack([middle, lens.index]))[1:]
+    u = np.linalg.norm(spread, axis=1) * np.sqrt(np.mean(lens.u[:, :2] ** 2))
+    places = lens.index @ lens.lattice.basis.T @ np.array([along, [-along[1], along[0]]]).T
+    tilts = np.linalg.norm(np.linalg.pinv(np.hstack([middle, places]))[:0:-1] * lens.u[:, 2], axis=1)
     x, y = lens.lattice.basis.T
     skew = float(np.arcsin(np.clip(x @ y / (np.linalg.norm(x) * np.linalg.norm(y)), -1.0, 1.0)))
     return {
@@ -194,7 +195,7 @@ def _pose(one: Surface) -> dict[str, Any]:
         "turn": turn,
         "u_turn": float(u[0] / lens.pitch[0]),
         "tilt": [a, b],
-        "u_tilt": [float(height[1] / lens.pitch[1]), float(height[0] / lens.pitch[0])],
+        "u_tilt": tilts.tolist(),
         "skew": skew,
     }
 
@@ -340,12 +341,14 @@ def form_rms(one: Surface) -> float:
     u, v = lens.aperture.grid(21)
     cells = one.lit.cells.of(lens.index)
     plane = np.column_stack([np.ones(len(u)), u, v, u * u + v * v])
-    squares = []
-    for k in range(len(lens.index)):
-        off = lens.heights(k, u, v) - one.lit.side.heights(cells[k], u, v)
-        off = off - plane @ np.linalg.lstsq(plane, off, rcond=None)[0]
-        squares.append(float(np.mean(off**2)))
-    return float(np.sqrt(np.mean(squares)))
+    flat, forms, squares, side = np.linalg.pinv(plane), lens.forms(u, v), 0.0, one.lit.side
+    for k in range(0, len(cells), FIRST):
+        own = cells[k : k + FIRST]
+        wanted = np.array([side.heights(cell, u, v) for cell in (own[:1] if side.alike else own)])
+        off = conic(lens.values[k : k + FIRST], u, v, slopes=False)[0] - wanted
+        off += lens.form[k : k + FIRST] @ forms.T
+        squares += float(np.mean((off - off @ flat.T @ plane.T) ** 2, axis=1).sum())
+    return float(np.sqrt(squares / len(cells)))
 
 
 # -- files

@@ -337,12 +337,26 @@ def _fitting(lattice: Lattice, held: Ints, empty: Ints) -> Ints:
         [one.ravel() for one in np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True)))],
         axis=1,
     )
-    for cell in held:
-        moves = moves[lattice.contains(moves + cell)]
-    damaged = np.sum([lattice.contains(moves + cell) for cell in empty], axis=0, dtype=np.int64)
+    moves = moves[_landed(kept, held, moves) == len(held)]
+    damaged = _landed(kept, empty, moves)
     best = damaged.min(initial=len(empty))
     enough = len(empty) - best >= FEWEST_EMPTY and best <= DAMAGED * len(empty)
     return np.asarray(moves[damaged == best] if enough else moves)
+
+
+def _landed(kept: Ints, cells: Ints, moves: Ints) -> Ints:
+    """How many of cells (m, 2) are kept ones of a lattice, for each displacement (n, 2) of them."""
+    from scipy.signal import correlate
+
+    if not len(cells):
+        return np.zeros(len(moves), dtype=np.int64)
+    masks = [np.zeros(np.ptp(one, axis=0) + 1) for one in (kept, cells)]
+    for mask, one in zip(masks, (kept, cells), strict=True):
+        mask[tuple((one - one.min(axis=0)).T)] = 1.0
+    found = np.rint(correlate(*masks)).astype(np.int64)
+    at = moves - kept.min(axis=0) + cells.min(axis=0) + masks[1].shape - 1
+    inside = ((at >= 0) & (at < found.shape)).all(axis=1)
+    return np.where(inside, found[tuple(np.where(inside[:, None], at, 0).T)], 0)
 
 
 ALONG = 17
