@@ -57,7 +57,6 @@ def pane_of(
     if not window.uniform:  # traced a block at a time, by `Passage.light`
         return None
     from clacad.rendering.compiled import pixels as kernel
-    from clacad.rendering.compiled.hole_beside_lens import suits
     from clacad.tracing.compiled.packing import pack
 
     numbers, law = np.zeros(kernel.PANE_NUMBERS), window.law
@@ -71,7 +70,7 @@ def pane_of(
     shining = np.zeros(256, dtype=np.uint8)
     shining[list(passage.shining)] = 1
     sheet = pack(lay_out(window))._replace(media=np.array(media_of(window.bodies, lines[0].wavelength)))
-    return kernel.Pane(kind, numbers, opaque, before, sheet, shining, suits(sheet))
+    return kernel.Pane(kind, numbers, opaque, before, sheet, shining)
 
 
 def first_box(window: Window) -> Floats:

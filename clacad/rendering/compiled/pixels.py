@@ -16,7 +16,6 @@ from clacad.base.compiled import exact, making, mixed, owning
 from clacad.base.hashing import GOLDEN
 from clacad.base.types import Floats, Ints, Words
 from clacad.optics.rays import Fate
-from clacad.rendering.compiled.hole_beside_lens import DIRECT, STRAYED, UNDECIDED, pass_quick
 from clacad.rendering.compiled.scene_hits import Pad, look_block, new_pad
 from clacad.rendering.scene_arrays import BLOCK, Tables
 from clacad.tracing.compiled import packing as slot
@@ -48,7 +47,7 @@ from clacad.tracing.compiled.walk import walk_ray
 BESIDE, BLACK, SHINES, BEFORE = range(4)
 """States of a ray: outside the sheet, without light, goes on behind the sheet, met an object before it."""
 
-ALIVE, GHOST, LAND, MISSED = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.LAND), int(Fate.MISSED)
+ALIVE, GHOST, MISSED = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED)
 
 NO_SHEET, LAW, SURFACES = range(3)
 
@@ -80,7 +79,6 @@ class Pane(NamedTuple):
     opaque, before : Whether nothing is visible outside the sheet; whether an object may be before it.
     sheet : SURFACES: the sheet that is traced.
     shining : (256,) bytes. Fates of rays that bring light.
-    quick : Whether `hole_beside_lens` suits the sheet.
     """
 
     kind: int
@@ -89,7 +87,6 @@ class Pane(NamedTuple):
     before: bool
     sheet: Packed
     shining: NDArray[np.uint8]
-    quick: bool
 
 
 MATRIX, AXIS, EDGES, SCALE, FRONT, PANE_NUMBERS = 0, 9, 12, 19, 20, 21
@@ -330,12 +327,7 @@ def _walked(pane: Pane, scale: float, walk: Walk, ray: Floats, i: int) -> int:
         position[0, c], direction[0, c] = start[0, c], way[0, c]
     out.fate[0] = MISSED
     reaches, launched = launch_ray(pane.sheet, start, way, 0)
-    told = UNDECIDED
-    if reaches and pane.quick:
-        told = pass_quick(pane.sheet, launched, position, direction)
-        out.fate[0] = ALIVE if told == DIRECT else (GHOST if told == STRAYED else LAND)
-    if reaches and told == UNDECIDED:
-        out.fate[0] = MISSED
+    if reaches:
         walk_ray(None, None, pane.sheet, launched, 0, out, walk.scratch)
     fate = out.fate[0]
     if fate == MISSED:
