@@ -15,8 +15,7 @@ from clacad.base.text import did_you_mean, near, nm_text
 from clacad.base.types import Pair2
 from clacad.base.units import LENGTHS, Unit
 from clacad.checks.light_kinds import LAW_RMS
-from clacad.config.compound_kinds import Several
-from clacad.config.keys import REQUIRED, Key
+from clacad.config.compound_kinds import REQUIRED, Key, Several
 from clacad.config.mistakes import DesignError, Mistake, design_error
 from clacad.config.quantities import LENGTH_ABOVE_0
 from clacad.config.toml_text import toml_value

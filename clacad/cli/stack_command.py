@@ -230,8 +230,7 @@ def _wished_length(unit: str, said: str, text: str, signed: bool = False) -> flo
 def _forecast(stack: Stack, request: StackRequest, out: Path | None, console: Console) -> int:
     """Print the cost of a stack and the places of its sheets; refuse what an export would be refused."""
     from clacad.cli.tables import forecast_text
-    from clacad.stacking.make_stack import cost_of
-    from clacad.stacking.stack_text import sheets_text
+    from clacad.stacking.make_stack import cost_of, sheets_text
 
     cost, span = cost_of(stack, request, out)
     console.show(
@@ -269,8 +268,15 @@ def _make(
     designs: Sequence[Design], stack: Stack, request: StackRequest, out: Path | None, console: Console
 ) -> int:
     """Measure, write, print: the share of light first."""
-    from clacad.stacking.make_stack import TASK, in_all, light_seconds, run_stack
-    from clacad.stacking.stack_text import facts_of, share_text, stack_text
+    from clacad.stacking.make_stack import (
+        TASK,
+        facts_of,
+        in_all,
+        light_seconds,
+        run_stack,
+        share_text,
+        stack_text,
+    )
 
     with console.progress() as progress:
         if out is None:

@@ -13,7 +13,7 @@ from package_source import literals
 
 import clacad.cli
 from clacad.cli import main
-from clacad.cli.arguments import BadUsage, Common, scan
+from clacad.cli.app import BadUsage, Common, scan
 from clacad.cli.command import GROUPS, commands, find, parameters
 
 PACKAGE = Path(__file__).parents[2] / "clacad"

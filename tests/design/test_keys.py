@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from package_source import messages, nodes
 
-from clacad.config.keys import KeyPaths, key, keys_of
+from clacad.config.compound_kinds import KeyPaths, key, keys_of
 from clacad.config.quantities import Quantity
 from clacad.config.value_kinds import Word
 from clacad.design import Design, DesignError, json_schema

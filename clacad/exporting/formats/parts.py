@@ -203,7 +203,7 @@ def _require_frame(window: Window, _asked: Request, worker: Worker) -> None:
 
 def _require_pins(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require plates with pin holes, gaps, and land for the shoulders."""
-    from clacad.exporting.fixtures.pins_and_coupon import pin_spec
+    from clacad.exporting.fixtures.frame import pin_spec
 
     pin_spec(window)
 
@@ -229,7 +229,7 @@ def _require_brep(window: Window, _asked: Request, _worker: Worker) -> None:
 
 def _require_coupon(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require a patch of a few cells that is a solid."""
-    from clacad.exporting.fixtures.pins_and_coupon import PATCH_CELLS
+    from clacad.exporting.fixtures.frame import PATCH_CELLS
 
     _require_solids(window.with_cells(PATCH_CELLS), COUPON)
 
