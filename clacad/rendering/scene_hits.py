@@ -70,10 +70,10 @@ def _nearest(
     distance = np.full(len(origin), limit) if np.isscalar(limit) else np.array(limit, dtype=np.float64)
     which = np.full(len(origin), -1, dtype=np.int64)
     triangle = np.full(len(origin), -1, dtype=np.int64)
-    for (first, end), bound in zip(stage.cluster, stage.cluster_bound, strict=True):
-        near = np.flatnonzero(_may_meet(bound, origin, direction))
+    for (first, end), box in zip(stage.cluster, stage.cluster_box, strict=True):
+        near = np.flatnonzero(may_cross(box, origin, direction))
         for k in range(first, end) if len(near) else ():
-            rows = near[_may_meet(stage.bound[k], origin[near], direction[near])]
+            rows = near[may_cross(stage.box[k], origin[near], direction[near])]
             if not len(rows):
                 continue
             local, ray = origin[rows] - stage.origin[k], direction[rows]
@@ -90,19 +90,13 @@ def _nearest(
     return distance, which, triangle
 
 
-def _may_meet(bound: Floats, origin: Floats, direction: Floats) -> Bools:
-    """Whether rays enter a sphere (centre, radius) at a distance above 0."""
-    if not np.isfinite(bound[3]):
-        return np.ones(len(origin), dtype=bool)
-    x, y, z = (bound[:3] - origin).T
-    dx, dy, dz = direction.T
-    along, length2 = x * dx + y * dy + z * dz, dx * dx + dy * dy + dz * dz
-    off2 = (x * x + y * y + z * z) * length2 - along * along
-    # the difference of two near squares: a tolerance is added for its rounding
-    return np.asarray(
-        (off2 <= bound[3] * bound[3] * length2 + 1e-12 * along * along)
-        & (along >= -bound[3] * np.sqrt(length2))
-    )
+def may_cross(box: Floats, position: Floats, direction: Floats) -> Bools:
+    """Which rays (n,) pass through a box (low, high)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (box[0] - position) / direction, (box[1] - position) / direction
+        near = np.fmax.reduce(np.fmin(a, b), axis=1)
+        far = np.fmin.reduce(np.fmax(a, b), axis=1)
+    return np.asarray((near <= far * (1.0 + 1e-12)) & (far > 0.0))
 
 
 def _distance(stage: SceneArrays, k: int, local: Floats, ray: Floats) -> Floats:
