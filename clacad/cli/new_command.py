@@ -10,9 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, Overridden, dry_run_option, flag, option, overwrite_option
-from clacad.cli.console import Console, say, table
+from clacad.cli.console import Brief, Console, facts, say, table
 from clacad.cli.option_values import BadOption, command_line
 
 if TYPE_CHECKING:

@@ -8,9 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, declared, dry_run_option, flag, option, required
-from clacad.cli.console import Console, table
+from clacad.cli.console import Brief, Console, facts, table
 from clacad.cli.option_values import (
     BadOption,
     command_line,
@@ -222,7 +221,7 @@ def _solve(request: StackSheets, console: Console) -> int:
 
 def _wished_length(unit: str, said: str, text: str, signed: bool = False) -> float:
     """Read a length of a wish, 0 or above unless `signed`. Raises BadOption."""
-    from clacad.config.quantities import LENGTH, LENGTH_FROM_0
+    from clacad.config.value_kinds import LENGTH, LENGTH_FROM_0
 
     return read_length(f"{said}{text}:", text, unit, LENGTH if signed else LENGTH_FROM_0)
 

@@ -22,8 +22,20 @@ from clacad.config import compound_kinds as keys
 from clacad.config import key_reader as schema
 from clacad.config.compound_kinds import REQUIRED, Key, ListOf, ListOr, Several, WordOr, keys_of
 from clacad.config.key_reader import FileForm, head_keys
-from clacad.config.quantities import LENGTH, LENGTH_ABOVE_0, LENGTH_FROM_0, Quantity
-from clacad.config.value_kinds import Flag, JsonSchema, Refusal, Text, Whole, Word, WrittenAsRead, not_this
+from clacad.config.value_kinds import (
+    LENGTH,
+    LENGTH_ABOVE_0,
+    LENGTH_FROM_0,
+    Flag,
+    JsonSchema,
+    Quantity,
+    Refusal,
+    Text,
+    Whole,
+    Word,
+    WrittenAsRead,
+    not_this,
+)
 from clacad.design.sections import LINES, LineSpec, lines_of
 from clacad.design.sections import SECTIONS as DESIGN_SECTIONS
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from clacad.design import Design
-from clacad.exporting.drawing.notes import orientation
+from clacad.exporting.drawing.canvas import orientation
 from clacad.exporting.drawing.views import across_cell, heights, outlines
 from clacad.light.confocality import confocality
 from clacad.mesh import tessellate

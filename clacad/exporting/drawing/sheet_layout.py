@@ -23,9 +23,8 @@ import numpy as np
 from clacad.base.units import millimetres
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.exporting.drawing import drawing_tables, views
-from clacad.exporting.drawing.canvas import CHARACTER, Canvas, scale_text
+from clacad.exporting.drawing.canvas import CHARACTER, Allowances, Canvas, allowances, scale_text
 from clacad.exporting.drawing.drawing_tables import table
-from clacad.exporting.drawing.notes import Allowances, allowances
 from clacad.exporting.drawing.views import mm_text
 from clacad.formats.maps.pose_table import euler_degrees
 from clacad.optics.surface import principal_radii

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from clacad.base.text import digits
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
-from clacad.exporting.drawing.canvas import CHARACTER, Canvas
-from clacad.exporting.drawing.notes import NO_ALLOWANCES, Allowances
+from clacad.exporting.drawing.canvas import CHARACTER, NO_ALLOWANCES, Allowances, Canvas
 from clacad.sheet.feasibility import FaceShape, body_range
 from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.plate import Plate

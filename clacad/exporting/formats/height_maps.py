@@ -10,16 +10,18 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
-from clacad.exporting.formats.file_kind import (
+from clacad.exporting.formats.format import (
+    BASE,
     CALIBRATION,
     FileKind,
+    Forecast,
+    Format,
     calibration_record,
     drawn_cost,
     map_kind,
     map_row,
     structured_cost,
 )
-from clacad.exporting.formats.format import BASE, Forecast, Format
 from clacad.exporting.roles import ABOVE_FACE, AT_POINTS, OWN_NUMBERS, SIXTEEN_BITS
 
 if TYPE_CHECKING:

@@ -9,8 +9,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.units import millimetres
-from clacad.exporting.formats.file_kind import SCALES, FileKind, mesh_facts, of_own_cells
-from clacad.exporting.formats.format import BASE, ChosenMesh, Forecast, Format, RoughSheet, about_number
+from clacad.exporting.formats.format import (
+    BASE,
+    SCALES,
+    ChosenMesh,
+    FileKind,
+    Forecast,
+    Format,
+    RoughSheet,
+    about_number,
+    mesh_facts,
+    of_own_cells,
+)
 from clacad.exporting.roles import DOUBLE_NORMALS, DOUBLES, IN_CELL, SINGLE_NORMALS
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.exporting.formats.file_kind import CALIBRATION, FaceFile, Misfit, Reading, Samples
+from clacad.exporting.formats.format import CALIBRATION, FaceFile, Misfit, Reading, Samples
 from clacad.exporting.formats.height_maps import (
     GRID,
     PNG16,

@@ -7,8 +7,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
-from clacad.exporting.formats.file_kind import calibration_record, drawn_cost, map_kind, map_row
-from clacad.exporting.formats.format import BASE, Forecast, Format, own_cells_note
+from clacad.exporting.formats.format import (
+    BASE,
+    Forecast,
+    Format,
+    calibration_record,
+    drawn_cost,
+    map_kind,
+    map_row,
+    own_cells_note,
+)
 from clacad.exporting.roles import LAYERS
 
 if TYPE_CHECKING:

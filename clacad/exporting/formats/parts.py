@@ -13,8 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.exporting.formats import indexed_meshes, step, stl
-from clacad.exporting.formats.file_kind import FileKind
-from clacad.exporting.formats.format import Forecast, Format
+from clacad.exporting.formats.format import FileKind, Forecast, Format
 from clacad.exporting.roles import AS_PLAIN, EXACT_FACES
 from clacad.storage.errors import FileDisagrees, LimitRefused
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.file_kind import FileKind, map_row, structured_cost
-from clacad.exporting.formats.format import Forecast, Format
+from clacad.exporting.formats.format import FileKind, Forecast, Format, map_row, structured_cost
 from clacad.exporting.roles import OWN_NUMBERS
 
 if TYPE_CHECKING:

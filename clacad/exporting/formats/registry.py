@@ -16,8 +16,7 @@ from clacad.storage.errors import UnknownFormat
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from clacad.exporting.formats.file_kind import FileKind
-    from clacad.exporting.formats.format import Format
+    from clacad.exporting.formats.format import FileKind, Format
     from clacad.storage.reading import Spending
     from clacad.storage.worker import Worker
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.file_kind import FileKind, mesh_facts, of_own_cells
 from clacad.exporting.formats.format import (
     BASE,
     STREAM_MEMORY,
     ChosenMesh,
+    FileKind,
     Forecast,
     Format,
     about_number,
+    mesh_facts,
+    of_own_cells,
     stream_bytes,
 )
 from clacad.exporting.roles import IN_SHEET

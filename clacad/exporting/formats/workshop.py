@@ -10,8 +10,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.exporting.formats.file_kind import FaceFile, FileKind, Misfit, Reading, drawn_cost, map_row
-from clacad.exporting.formats.format import BASE, Forecast, Format, stream_bytes
+from clacad.exporting.formats.format import (
+    BASE,
+    FaceFile,
+    FileKind,
+    Forecast,
+    Format,
+    Misfit,
+    Reading,
+    drawn_cost,
+    map_row,
+    stream_bytes,
+)
 from clacad.exporting.roles import AT_POINTS, EXACT_FACES, NO_SURFACE, SIXTEEN_BITS
 
 if TYPE_CHECKING:
