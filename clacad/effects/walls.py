@@ -5,9 +5,18 @@ included, up to `Setting.faces` further faces. Off: they end, black. Light throu
 LAND) goes on with or without the effect; it is a label of geometry.
 *Law.* A followed ray leaves or ends exactly once: shares sum to 1 (`clacad.effects.engine.nonsequential`).
 *On when* the share of WALL light exceeds the radiance that matters.
+
+Paths after total internal reflection.
+
+*Model.* Rays that a face reflects totally (fate TIR) go on inside the body, up to `Setting.faces` faces,
+until they leave. Off: they end, black.
+*Law.* No light is lost at total reflection: shares of a followed ray sum to 1.
+*On when* the share of TIR light exceeds the radiance that matters.
 """
 
 from __future__ import annotations
+
+from functools import partial
 
 import numpy as np
 
@@ -24,14 +33,14 @@ from clacad.effects.engine.effect import (
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 
-NAME = "walls"
+WALLS, TIR_PATHS = "walls", "tir_paths"
 
 SMOOTH = 1e-9
 """Share below which steps count as rounding."""
 
 
-def effect(window: Window, setting: Setting) -> Effect:
-    """Follow rays that ended at walls.
+def followed(name: str, fate: Fate, _: Window, setting: Setting) -> Effect:
+    """Follow rays that ended with a fate.
 
     Rows that leave get their last point, direction and flux, the others flux 0.
     """
@@ -39,9 +48,9 @@ def effect(window: Window, setting: Setting) -> Effect:
     def apply(block: RayBlock, _: FaceCrossing | None) -> None:
         from clacad.effects.engine.camera_light import trace_ended_rays
 
-        trace_ended_rays(block, setting, Fate.WALL)
+        trace_ended_rays(block, setting, fate)
 
-    return Effect(NAME, When.EXIT, apply=apply)
+    return Effect(name, When.EXIT, apply=apply)
 
 
 def bound(situation: Situation) -> Bound:
@@ -65,4 +74,16 @@ def step_share(window: Window) -> float:
     return mean_steps(window)
 
 
-DECLARED = Declaration(NAME, effect, bound, shows=Fate.WALL, follows=True)
+def bound_of_total(situation: Situation) -> Bound:
+    """Share of light that ends in fate TIR on the probe."""
+    counted = situation.share(Fate.TIR)
+    radiance = situation.most(counted) if counted > 0.0 else 0.0
+    return Bound(0.0, radiance, f"{counted:.2%} of the light is reflected totally", 1.0 + 30.0 * counted)
+
+
+DECLARED = (
+    Declaration(WALLS, partial(followed, WALLS, Fate.WALL), bound, shows=Fate.WALL, follows=True),
+    Declaration(
+        TIR_PATHS, partial(followed, TIR_PATHS, Fate.TIR), bound_of_total, shows=Fate.TIR, follows=True
+    ),
+)

@@ -364,10 +364,9 @@ class FaceFile:
 
     def map(self) -> HeightMap:
         """Map of the face as an export writes it."""
-        from clacad.formats.maps.sag import height_map, samples_per_cell
+        from clacad.formats.maps.sag import height_map
 
-        per_cell = samples_per_cell(self.window, None)
-        return height_map(self.window, self.body, self.face, self.label, per_cell)
+        return height_map(self.window, self.body, self.face, self.label)
 
 
 @dataclass(frozen=True, eq=False)
@@ -521,6 +520,11 @@ def map_row(word: str, size: int, seconds: float, more_memory: int = 0, note: st
 def map_kind(word: str, *ends: str, native: bool = False) -> FileKind:
     """Kind of a file that `map_reading` compares with the design."""
     return FileKind(word, "map", ends, native=native, readings="clacad.exporting.formats.map_reading")
+
+
+def structured_count(window: Window) -> int:
+    """Number of faces that carry lenslets."""
+    return sum(face.array is not None for face in window.faces)
 
 
 def structured_cost(faces: int) -> float:

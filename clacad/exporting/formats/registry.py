@@ -22,10 +22,8 @@ if TYPE_CHECKING:
 
 MODULES = (
     "step",
-    "stl",
     "indexed_meshes",
     "height_maps",
-    "masks",
     "pov",
     "parts",
     "sequential",
