@@ -31,9 +31,6 @@ NAMES = (
 )
 """Effects in the order in which plans list them and passes of one kind run."""
 
-_MODULE = {"reflections": "fresnel", "tir_paths": "walls"}
-"""Effects that share the module of another."""
-
 _HOME = {
     "Effect": "engine.effect",
     "trace_with": "engine.passes",
@@ -53,9 +50,8 @@ def declared(name: str) -> Declaration:
     """Declaration of an effect; its module is imported on first use. Raises ValueError: An unknown name."""
     if name not in NAMES:
         raise ValueError(f"no effect is called {name!r}; known are {', '.join(NAMES)}")
-    found = import_module(f"clacad.effects.{_MODULE.get(name, name)}").DECLARED
-    every: tuple[Declaration, ...] = found if isinstance(found, tuple) else (found,)
-    return next(one for one in every if one.name == name)
+    found: Declaration = import_module(f"clacad.effects.{name}").DECLARED
+    return found
 
 
 def declared_all(names: Iterable[str]) -> tuple[Declaration, ...]:

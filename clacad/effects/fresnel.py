@@ -5,17 +5,6 @@ design wavelength (`Setting.coating`). The polarisation by the faces themselves 
 in `polarisation`. On rungs law and thin a lens is represented by a plane plate across its axis.
 *Law.* R + T = 1; the same both ways; 1 − r0 at normal incidence; nothing of p at Brewster's angle.
 *On when* the light lost on the probe exceeds the radiance that matters. *Cost* about 1.2.
-
-Light reflected inside and at the sheet: forward after two reflections, and back to the camera's side
-after one.
-
-*Model.* Every path of up to `Setting.order` partial reflections is split off deterministically and followed
-exactly (`clacad.effects.engine.nonsequential`), with Fresnel's share at every face; it implies the losses of
-`fresnel` on the straight path. In a trace, one row a ray, only those losses appear; the split paths are rows
-of `clacad.effects.light_reaching_camera`.
-*Law.* Shares of all paths, including those cut off beyond the order, sum to 1 without noise.
-*On when* N(N − 1)/2 r0² D (forward, D the scene's contrast) or N r0 times the front world's brightness
-exceeds the radiance that matters. *Cost* 1.75 N², compiled.
 """
 
 from __future__ import annotations
@@ -23,7 +12,6 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.effects.engine.camera_light import light_with
 from clacad.effects.engine.effect import (
     Bound,
     Declaration,
@@ -40,10 +28,7 @@ from clacad.optics.rays import Fate
 from clacad.optics.surface.fresnel_coefficients import deviation, normal_loss, reflected, transmission
 from clacad.sheet.window import Window
 
-FRESNEL, REFLECTIONS = "fresnel", "reflections"
-
-COST = 1.75
-"""Time of the split paths over the bare trace, per square of the number of faces (compiled, measured)."""
+NAME = "fresnel"
 
 
 def effect(window: Window, setting: Setting) -> Effect:
@@ -68,7 +53,7 @@ def effect(window: Window, setting: Setting) -> Effect:
             np.multiply(flux, passed, out=flux, where=crossing.through)
 
     return Effect(
-        FRESNEL,
+        NAME,
         When.HIT,
         needs=("hits",),
         apply=apply,
@@ -92,10 +77,10 @@ def losses(situation: Situation) -> Floats:
 
 def mean_loss(situation: Situation) -> float:
     """Mean share that the probe rays lose by reflection at all faces; kept with the situation."""
-    if FRESNEL not in situation.kept:
+    if NAME not in situation.kept:
         lost = losses(situation)
-        situation.kept[FRESNEL] = float(lost.mean()) if len(lost) else 0.0
-    return situation.kept[FRESNEL]
+        situation.kept[NAME] = float(lost.mean()) if len(lost) else 0.0
+    return situation.kept[NAME]
 
 
 def bound(situation: Situation) -> Bound:
@@ -111,46 +96,4 @@ def bound(situation: Situation) -> Bound:
     return Bound(0.0, radiance * 1.01, why, 1.2)
 
 
-def path_losses(window: Window, setting: Setting) -> Effect:
-    """The losses of the straight path."""
-    own = effect(window, setting)
-    return Effect(REFLECTIONS, own.when, own.needs, own.apply, compiled=own.compiled)
-
-
-def bound_of_paths(situation: Situation) -> Bound:
-    """First order in r0: forward pairs of faces, and every face once backwards; more for steeper rays."""
-    n = situation.faces
-    r = mean_loss(situation) / n
-    if situation.setting.coating == "none":
-        r = max(r, max(normal_loss(body.index) for body in situation.window.bodies))
-    forward = 0.5 * n * (n - 1) * r * r * situation.contrast
-    front = n * r * situation.front
-    why = (
-        f"two reflections send {0.5 * n * (n - 1) * r * r:.2g} of the light forward "
-        f"(contrast {situation.contrast:.2g}), one sends {n * r:.2g} of the camera's side back"
-    )
-    return Bound(0.0, forward + front, why, COST * n * n)
-
-
-def measured_paths(situation: Situation) -> tuple[float, float]:
-    """Light that split paths add: forward with the scene's contrast, back with that of the camera's side."""
-    extra, own = light_with(situation, REFLECTIONS), light_with(situation, FRESNEL)
-    n = max(len(situation.met), 1)
-    back = extra.direction[:, 2] < 0.0
-    front = float(extra.flux[back].sum()) / n
-    forward = (float(extra.flux[~back].sum()) - float(own.flux.sum())) / n
-    return 0.0, forward * situation.contrast + front * situation.front
-
-
-DECLARED = (
-    Declaration(FRESNEL, effect, bound, loses=True),
-    Declaration(
-        REFLECTIONS,
-        path_losses,
-        bound_of_paths,
-        measured_paths,
-        splits=True,
-        loses=True,
-        includes=(FRESNEL,),
-    ),
-)
+DECLARED = Declaration(NAME, effect, bound, loses=True)

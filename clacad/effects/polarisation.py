@@ -43,7 +43,8 @@ from clacad.effects.engine.effect import (
     traced_of,
     unit_rows,
 )
-from clacad.effects.fresnel import FRESNEL, REFLECTIONS
+from clacad.effects.fresnel import NAME as FRESNEL
+from clacad.effects.reflections import NAME as REFLECTIONS
 from clacad.optics.rays import Fate
 from clacad.optics.surface.fresnel_coefficients import amplitudes, deviation, reflected
 from clacad.sheet.window import Window

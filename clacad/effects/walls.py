@@ -5,18 +5,9 @@ included, up to `Setting.faces` further faces. Off: they end, black. Light throu
 LAND) goes on with or without the effect; it is a label of geometry.
 *Law.* A followed ray leaves or ends exactly once: shares sum to 1 (`clacad.effects.engine.nonsequential`).
 *On when* the share of WALL light exceeds the radiance that matters.
-
-Paths after total internal reflection.
-
-*Model.* Rays that a face reflects totally (fate TIR) go on inside the body, up to `Setting.faces` faces,
-until they leave. Off: they end, black.
-*Law.* No light is lost at total reflection: shares of a followed ray sum to 1.
-*On when* the share of TIR light exceeds the radiance that matters.
 """
 
 from __future__ import annotations
-
-from functools import partial
 
 import numpy as np
 
@@ -33,14 +24,14 @@ from clacad.effects.engine.effect import (
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 
-WALLS, TIR_PATHS = "walls", "tir_paths"
+NAME = "walls"
 
 SMOOTH = 1e-9
 """Share below which steps count as rounding."""
 
 
-def followed(name: str, fate: Fate, _: Window, setting: Setting) -> Effect:
-    """Follow rays that ended with a fate.
+def effect(window: Window, setting: Setting) -> Effect:
+    """Follow rays that ended at walls.
 
     Rows that leave get their last point, direction and flux, the others flux 0.
     """
@@ -48,9 +39,9 @@ def followed(name: str, fate: Fate, _: Window, setting: Setting) -> Effect:
     def apply(block: RayBlock, _: FaceCrossing | None) -> None:
         from clacad.effects.engine.camera_light import trace_ended_rays
 
-        trace_ended_rays(block, setting, fate)
+        trace_ended_rays(block, setting, Fate.WALL)
 
-    return Effect(name, When.EXIT, apply=apply)
+    return Effect(NAME, When.EXIT, apply=apply)
 
 
 def bound(situation: Situation) -> Bound:
@@ -74,16 +65,4 @@ def step_share(window: Window) -> float:
     return mean_steps(window)
 
 
-def bound_of_total(situation: Situation) -> Bound:
-    """Share of light that ends in fate TIR on the probe."""
-    counted = situation.share(Fate.TIR)
-    radiance = situation.most(counted) if counted > 0.0 else 0.0
-    return Bound(0.0, radiance, f"{counted:.2%} of the light is reflected totally", 1.0 + 30.0 * counted)
-
-
-DECLARED = (
-    Declaration(WALLS, partial(followed, WALLS, Fate.WALL), bound, shows=Fate.WALL, follows=True),
-    Declaration(
-        TIR_PATHS, partial(followed, TIR_PATHS, Fate.TIR), bound_of_total, shows=Fate.TIR, follows=True
-    ),
-)
+DECLARED = Declaration(NAME, effect, bound, shows=Fate.WALL, follows=True)
