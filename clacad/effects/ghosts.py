@@ -13,8 +13,8 @@ from math import degrees
 
 import numpy as np
 
-from clacad.effects.engine.camera_light import shares
 from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
+from clacad.effects.engine.homogeneous_light import shares
 from clacad.optics.rays import Fate
 from clacad.sheet.vignetting import aperture_slope, ghost_onset, thin_cells
 from clacad.sheet.window import Window

@@ -14,7 +14,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Rung
 from clacad.effects import declared_all
-from clacad.effects.engine.camera_light import LightRays
+from clacad.effects.engine.homogeneous_light import LightRays
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.stack import Stack, StackedSheet, standing
 from clacad.storage.errors import BadRequest

@@ -27,7 +27,7 @@ from clacad.sheet.window import Window
 from clacad.tracing.layout import half_sizes, lay_out
 
 if TYPE_CHECKING:
-    from clacad.effects.engine.camera_light import LightRays
+    from clacad.effects.engine.homogeneous_light import LightRays
     from clacad.rendering.compiled.pixels import Pane
 
 

@@ -19,8 +19,8 @@ from clacad import Design, load, prescribe
 from clacad.base.polygons import clip
 from clacad.base.sobol import sobol
 from clacad.effects import NAMES, Setting, light_reaching_camera, trace_with
-from clacad.effects.engine.camera_light import overlap
 from clacad.effects.engine.effect import inside_plate
+from clacad.effects.engine.homogeneous_light import overlap
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.probe_rays import cone
 from clacad.effects.trace import trace

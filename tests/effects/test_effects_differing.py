@@ -11,7 +11,8 @@ import pytest
 
 import clacad
 from clacad.effects import Setting, light_reaching_camera, plan_effects
-from clacad.effects.engine.camera_light import FAINT, measure, orders
+from clacad.effects.engine.camera_light import measure
+from clacad.effects.engine.homogeneous_light import FAINT, orders
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.probe_rays import situation_of_design, with_stand_ins
 from clacad.effects.trace import trace

@@ -40,7 +40,6 @@ OTHER_MEANINGS = {
     "drawing": {"sheet/representative_cells.py"},  # a purpose of cells
     "frame": {"exporting/fixtures/frame.py", "rendering/picture.py", "report/pictures.py",
               "scene/sections.py"},  # the key camera.frame, the name of the part
-    "height-calibration": {"exporting/formats/format.py"},  # written by the formats of two modules
     "pins": {"design/model.py"},  # the key body.pins
     "png": {"base/drawn_figure.py", "cli/accuracy_command.py", "cli/option_values.py", "cli/steer_command.py",
             "report/measured_section.py", "report/scan_files.py", "imaging/shape.py",

@@ -25,7 +25,7 @@ from clacad.sheet.window import Window
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.effects.engine.camera_light import LightRays
+    from clacad.effects.engine.homogeneous_light import LightRays
     from clacad.scene import Scene
     from clacad.sheet.stack import Stack
 

@@ -468,7 +468,7 @@ def homogeneous(situation: Situation) -> tuple[str, str]:
 
 def share_gap(situation: Situation) -> float:
     """Difference of the partner's share, closed form minus counted, mean over the scene's rays."""
-    from clacad.effects.engine.camera_light import shares
+    from clacad.effects.engine.homogeneous_light import shares
 
     cells = thin_cells(situation.window)
     index = None if situation.window.uniform else cells_met(situation.window, situation.rays)[situation.met]
