@@ -303,12 +303,8 @@ def tables(stage: SceneArrays) -> Tables:
     )
     world = np.concatenate([[stage.ambient, stage.key], stage.towards_light, stage.sky.ravel(), stage.ground])
     low, high = stage.cluster_box[:, 0], stage.cluster_box[:, 1]
-    endless = ~np.isfinite(stage.cluster_box).all(axis=(1, 2))[:, None]
-    with np.errstate(invalid="ignore"):
-        middle, half = (
-            np.where(endless, 0.0, 0.5 * (low + high)),
-            np.where(endless, np.inf, 0.5 * (high - low)),
-        )
+    with np.errstate(invalid="ignore"):  # a floor has no middle
+        middle, half = np.where(np.isfinite(low), 0.5 * (low + high), 0.0), 0.5 * (high - low)
     cluster = np.column_stack([stage.cluster, middle, half])
     cluster, prim = np.ascontiguousarray(cluster, dtype=np.float64), prim.reshape(-1, PRIM_WIDTH)
     return Tables(world, cluster, prim, store, stage.forest)
