@@ -10,20 +10,8 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.base.vectors import doubled_normals
-from clacad.rendering.scene_arrays import (
-    BOX,
-    CHECKER,
-    CONE,
-    COORDINATES,
-    FLOOR,
-    IMAGE,
-    LIT,
-    MESH,
-    PRISM,
-    SPHERE,
-    STRIPES,
-    SceneArrays,
-)
+from clacad.rendering import scene_arrays as slot
+from clacad.rendering.scene_arrays import SceneArrays
 from clacad.tracing.facets.hierarchy import nearest_triangle
 
 UNTURNED = np.eye(3)
@@ -79,7 +67,7 @@ def _nearest(
             local, ray = origin[rows] - stage.origin[k], direction[rows]
             if (stage.rotation[k] != UNTURNED).any():
                 local, ray = local @ stage.rotation[k], ray @ stage.rotation[k]
-            if stage.kind[k] == MESH:
+            if stage.kind[k] == slot.MESH:
                 t, facet = nearest_triangle(stage.forest, int(stage.piece[k, 0]), local, ray, distance[rows])
                 triangle[rows[facet >= 0]] = facet[facet >= 0]
                 closer = facet >= 0
@@ -102,16 +90,16 @@ def may_cross(box: Floats, position: Floats, direction: Floats) -> Bools:
 def _distance(stage: SceneArrays, k: int, local: Floats, ray: Floats) -> Floats:
     """Distance (n,) to a primitive in its own frame; NaN or ∞ where it is missed."""
     kind, (a, b, c, _) = stage.kind[k], stage.size[k]
-    if kind == FLOOR:
+    if kind == slot.FLOOR:
         t = -local[:, 1] / ray[:, 1]
         return np.where(t * np.linalg.norm(ray, axis=1) <= a, t, np.nan)
-    if kind == SPHERE:
+    if kind == slot.SPHERE:
         return _sphere(local, ray, a)
-    if kind == BOX:
+    if kind == slot.BOX:
         return _box(local, ray, np.array([a, b, c]))
-    if kind == CONE:
+    if kind == slot.CONE:
         return _cone(local, ray, a, b, c)
-    if kind == PRISM:
+    if kind == slot.PRISM:
         first, end = stage.piece[k]
         return _prism(local, ray, a, stage.outline[first:end])
     t = -local[:, 2] / ray[:, 2]
@@ -209,17 +197,17 @@ def _painted(
     turn = stage.rotation[k]
     local = (origin - stage.origin[k]) @ turn + distance[:, None] * (direction @ turn)
     paint, (first, second) = stage.paint[k], stage.colours[k]
-    if paint == COORDINATES:
+    if paint == slot.COORDINATES:
         share = local[:, :2] / (2.0 * stage.size[k, :2]) + 0.5
         return np.column_stack([share, np.ones(len(local))])
-    if paint == IMAGE:
+    if paint == slot.IMAGE:
         return _sampled(stage, k, local)
     colour = np.broadcast_to(first, (len(local), 3))
-    if paint == CHECKER:
+    if paint == slot.CHECKER:
         side = stage.pattern[k]
         odd = (np.floor(local[:, 0] / side) + np.floor(local[:, 2] / side)) % 2.0 == 1.0
         colour = np.where(odd[:, None], first, second)
-    elif paint == STRIPES:
+    elif paint == slot.STRIPES:
         period = stage.pattern[k]
         colour = np.where((np.floor(2.0 * local[:, 0] / period) % 2.0 == 0.0)[:, None], first, second)
     if stage.key == 0.0:
@@ -235,23 +223,23 @@ def _normal(stage: SceneArrays, k: int, local: Floats, triangle: Ints) -> Floats
     """Unit normals (n, 3) in the primitive's frame, of either sign."""
     kind, (a, b, c, _) = stage.kind[k], stage.size[k]
     normal = np.zeros_like(local)
-    if kind == FLOOR:
+    if kind == slot.FLOOR:
         normal[:, 1] = 1.0
-    elif kind == SPHERE:
+    elif kind == slot.SPHERE:
         normal = local / a
-    elif kind == BOX:
+    elif kind == slot.BOX:
         side = np.argmax(np.abs(local) / np.array([a, b, c]), axis=1)
         normal[np.arange(len(local)), side] = 1.0
-    elif kind == CONE:
+    elif kind == slot.CONE:
         slope, radius = (b - a) / c, np.hypot(local[:, 0], local[:, 2])
         off = np.abs(radius - (a + slope * local[:, 1]))
         flat = np.minimum(np.abs(local[:, 1]), np.abs(local[:, 1] - c)) < off
         mantle = np.column_stack([local[:, 0], -slope * radius, local[:, 2]])
         normal = np.where(flat[:, None], (0.0, 1.0, 0.0), mantle)
-    elif kind == PRISM:
+    elif kind == slot.PRISM:
         first, end = stage.piece[k]
         normal = _prism_normal(local, a, stage.outline[first:end])
-    elif kind == MESH:
+    elif kind == slot.MESH:
         corner = stage.forest.corner[triangle]
         normal = doubled_normals(corner)
     else:
@@ -293,4 +281,4 @@ def _sampled(stage: SceneArrays, k: int, local: Floats) -> Floats:
     return np.asarray(upper * (1.0 - v) + lower * v)
 
 
-__all__ = ["LIT", "background", "look", "nearest"]
+__all__ = ["background", "look", "nearest"]

@@ -79,7 +79,6 @@ class ScaleNote:
     """Position at which a view prints its scale, which depends on the paper."""
 
     at: Point
-    anchor: str = "end"
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +121,9 @@ class Canvas:
         """Write words; `anchor` is start, middle or end."""
         self.marks.append(Words(at, words, anchor, kind))
 
-    def scale_note(self, at: Point, anchor: str = "end") -> None:
-        """Print the scale here."""
-        self.marks.append(ScaleNote(at, anchor))
+    def scale_note(self, at: Point) -> None:
+        """Print the scale from here on."""
+        self.marks.append(ScaleNote(at))
 
     def across(self, x0: float, x1: float, y: float, words: str, start: tuple[float, float]) -> None:
         """Dimension between two x at height y; extension lines come from `start` (y at x0, y at x1)."""
@@ -160,14 +159,10 @@ class Canvas:
         ends = ((start[0], y0), (start[1], y1))
         self.marks.append(DimensionMark(ends, (x, y0), True, words, tuple(drawn)))
 
-    def leader(self, tip: Point, elbow: Point, words: str, anchor: str = "start") -> None:
-        """Words at the end of a line that points at something."""
+    def leader(self, tip: Point, elbow: Point) -> None:
+        """A line that points at something."""
         self.line([elbow, tip], "dim")
         self.marks.append(_head(tip, np.subtract(tip, elbow)))
-        if words:
-            self.marks.append(
-                _backed((elbow[0] + (3 if anchor == "start" else -3), elbow[1] + 4), words, anchor)
-            )
 
     def datum(self, tip: Point, way: Point, letter: str) -> None:
         """A boxed letter at the offset `way` from the edge it names."""
@@ -269,7 +264,7 @@ def _svg(mark: Mark, scale: float | None, zoom: float) -> str:
 def said_scale(note: ScaleNote, scale: float | None, zoom: float) -> Words:
     """Text of a scale note on a page that is enlarged by `zoom`."""
     words = "not to scale" if scale is None else f"{scale_text(scale * zoom)}, mm"
-    return Words(note.at, words, note.anchor, "note")
+    return Words(note.at, words, "start", "note")
 
 
 def _points(points: Floats) -> str:

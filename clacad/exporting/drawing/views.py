@@ -75,13 +75,13 @@ def outlines(x: Floats, front: Floats, back: Floats) -> list[Floats]:
     return found
 
 
-def across_cell(window: Window, array: int, samples: int = 161) -> tuple[Floats, float]:
+def across_cell(window: Window, array: int) -> tuple[Floats, float]:
     """Points x (n,) over the cell of an array nearest the middle, along x, and its y; sheet frame."""
     from clacad.sheet.representative_cells import central_cell
 
     middle = window.centres(array, np.array(central_cell(window), dtype=np.int64))
     half = 0.5 * window.lattice_of(array).pitch[0] * (1.0 - 1e-9)
-    return middle[0] + np.linspace(-half, half, samples), float(middle[1])
+    return middle[0] + np.linspace(-half, half, 161), float(middle[1])
 
 
 WIDTH = 760.0
@@ -169,7 +169,7 @@ def assembly(window: Window, paper: OnPaper | None = None, ranges: Sequence[Rang
         _draw_body(canvas, window, body, y, at)
     _assembly_dimensions(canvas, window, at, ranges, (left, left + wide), (top, top + tall))
     canvas.text((6.0, 14), title, "start", "note")
-    canvas.scale_note((6.0, 29), "start")
+    canvas.scale_note((6.0, 29))
     canvas.text((6.0, top + tall + 62), foot, "start", "note")
     return canvas
 
@@ -191,13 +191,13 @@ def _assembly_dimensions(
     canvas.across(left, end, bottom + 30, mm_text((x1 - x0) * mm), (bottom, bottom))
     canvas.upright(top, bottom, end + 62, mm_text((high - low) * mm), (end, end))
     edge = top + min(10.0, 0.5 * float(at(x0, ranges[-1][0])[1] - top))
-    canvas.leader((left, edge), (left - 16.0, edge - 4.0), "")
+    canvas.leader((left, edge), (left - 16.0, edge - 4.0))
     canvas.finish((left - 16.0, edge - 4.0), OTHER_FINISH)
     if len(ranges) > 1:
         for a, b in ranges:
             ya, yb = float(at(x0, b)[1]), float(at(x0, a)[1])
             canvas.upright(ya, yb, end + 16, mm_text((b - a) * mm), (end, end))
-    canvas.leader((left - 22, bottom - min(30.0, bottom - top + 12)), (left - 22, bottom), "")
+    canvas.leader((left - 22, bottom - min(30.0, bottom - top + 12)), (left - 22, bottom))
     canvas.text((left - 22, bottom + 14), "+z", "middle", "note")
 
 
@@ -263,7 +263,7 @@ def plan(window: Window, paper: OnPaper | None = None) -> Canvas:
     canvas.upright(top, bottom, left + wide + 22, mm_text((y1 - y0) * mm), (left + wide, left + wide))
     _inner_dimensions(canvas, window, (x1, y1), (left, top), (left + wide + 22, bottom + 26 + drop))
     below = bottom + 44 + drop + STEP_DOWN * len(across)
-    canvas.scale_note((6, below), "start")
+    canvas.scale_note((6, below))
     for number, words in enumerate(foot, 1):
         canvas.text((6, below + 15.0 * number), words, "start", "note")
     return canvas
@@ -306,7 +306,7 @@ def _axes(canvas: Canvas, middle: tuple[float, float], length: float) -> None:
     """The axes of the sheet at its middle, seen along the light."""
     for (dx, dy), words in (((-length, 0.0), "+x"), ((0.0, -length), "+y")):
         end = (middle[0] + dx, middle[1] + dy)
-        canvas.leader(end, middle, "")
+        canvas.leader(end, middle)
         canvas.text((end[0] - 10 if dx else end[0] + 12, end[1] + 4), words)
     canvas.circle(middle, 5.0, "dim")
 
@@ -477,7 +477,7 @@ def telescopelet(
     if light is not None:
         _focal_plane(canvas, window, light, at, middle)
     canvas.text((6, 14), title, "start", "note")
-    canvas.scale_note((6, 29), "start")
+    canvas.scale_note((6, 29))
     return canvas
 
 
@@ -588,7 +588,7 @@ def lens_detail(
     half = allowed.of_body(place, len(window.bodies))
     _detail_dimensions(canvas, x, (front, back), at, mm, curved, base, half)
     canvas.text((6, 14), f"{lens.name}, on {body.name}" if array < 2 else lens.name, "start", "title")
-    canvas.scale_note((6, 29), "start")
+    canvas.scale_note((6, 29))
     canvas.text((6, base + 56.0), radius, "start")
     canvas.text((6, base + 72.0), conic, "start")
     return canvas
@@ -617,7 +617,7 @@ def _lens_finish(canvas: Canvas, x: Floats, face: Floats, at: Callable[..., Floa
         canvas.finish(tip, LENS_FINISH)
         return
     elbow = (float(at(x[0], 0.0)[0]) - 34.0, tip[1] + 16.0)
-    canvas.leader(tip, elbow, "")
+    canvas.leader(tip, elbow)
     canvas.finish(elbow, LENS_FINISH)
 
 
