@@ -68,7 +68,7 @@ def page(title: str, first: str, *parts: str) -> str:
 def _keys(sections: Mapping[str, Mapping[str, Any]], root: Mapping[str, Any]) -> Iterator[str]:
     """Sections of a file as headings with tables of their keys."""
     from clacad.base.units import LENGTHS, Unit
-    from clacad.config.keys import REQUIRED
+    from clacad.config.compound_kinds import REQUIRED
 
     unit = Unit("the file's unit", LENGTHS["m"])
 

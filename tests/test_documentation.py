@@ -16,8 +16,7 @@ import pytest
 from plain_words import ADDRESSED, LEFT_OUT
 
 import clacad
-from clacad.cli.arguments import Common, scan
-from clacad.cli.command import find, parameters
+from clacad.cli.command import Common, find, parameters, scan
 from clacad.design.sections import ROOT as TOP
 from clacad.design.sections import SECTIONS
 from clacad.scene import Scene

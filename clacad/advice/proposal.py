@@ -182,9 +182,9 @@ def _difference(before: Wish, after: Wish) -> str:
     return ", ".join(f"{key}={_plain(value)}" for key, value in values.items() if first.get(key) != value)
 
 
-def plain_words(wish: Wish) -> str:
-    """A wish as typed after --for."""
-    return ", ".join(f"{key}={_plain(value)}" for key, value in wish.words().items())
+def plain_words(words: Mapping[str, Any]) -> str:
+    """The words of a wish as typed after --for."""
+    return ", ".join(f"{key}={_plain(value)}" for key, value in words.items())
 
 
 def _plain(value: Any) -> str:
@@ -373,7 +373,7 @@ WIDTH = 118
 def file_text(wish: Wish, judged: Judged, reasons: Sequence[str], trades: Sequence[Trade]) -> str:
     """Loadable TOML with comments."""
     lines = ["#:schema clacad.schema.json"]
-    lines += _wrapped(f"Made for the wish {plain_words(wish)}.")
+    lines += _wrapped(f"Made for the wish {plain_words(wish.words())}.")
     words = sorted({check.id for check in judged.warning})
     end = f"passes, with a warning: {', '.join(words)}" if words else "passes, without a warning"
     lines += _wrapped(f"Built, traced through one cell and judged by the checks of clacad verify: {end}.")

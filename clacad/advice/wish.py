@@ -15,12 +15,10 @@ from clacad.base.text import did_you_mean, near, nm_text
 from clacad.base.types import Pair2
 from clacad.base.units import LENGTHS, Unit
 from clacad.checks.light_kinds import LAW_RMS
-from clacad.config.compound_kinds import Several
-from clacad.config.keys import REQUIRED, Key
+from clacad.config.compound_kinds import REQUIRED, Key, Several
 from clacad.config.mistakes import DesignError, Mistake, design_error
-from clacad.config.quantities import LENGTH_ABOVE_0
 from clacad.config.toml_text import toml_value
-from clacad.config.value_kinds import Refusal, Whole, Word, shown
+from clacad.config.value_kinds import LENGTH_ABOVE_0, Refusal, Whole, Word, shown
 from clacad.design.body import Outline
 from clacad.design.process_profiles import profile
 from clacad.design.rules import Asked, law_is_a_pair, lens_faces_forward, material_is_known

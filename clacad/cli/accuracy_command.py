@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import mrad_text, short_size_text
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, Overridden, declared, flag, option, overwrite_option, required
-from clacad.cli.console import Console, table
+from clacad.cli.console import Brief, Console, facts, table
 from clacad.cli.option_values import BadOption, load_counted, parse_angle, picture_kind, words_of
 
 if TYPE_CHECKING:

@@ -11,8 +11,20 @@ from typing import Any
 
 from clacad.base import log
 from clacad.base.text import near
-from clacad.cli.arguments import PROGRAM, VARIABLE, BadUsage, Common, Start, scan
-from clacad.cli.command import GROUPS, Command, CommandParameter, commands, find, parameters
+from clacad.cli.command import (
+    GROUPS,
+    PROGRAM,
+    VARIABLE,
+    BadUsage,
+    Command,
+    CommandParameter,
+    Common,
+    Start,
+    commands,
+    find,
+    parameters,
+    scan,
+)
 from clacad.cli.console import Console
 
 ABOUT = "Design, make and verify generalized confocal lenslet arrays."

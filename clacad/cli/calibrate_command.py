@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.base.text import table
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, option, overwrite_option, required
-from clacad.cli.console import Console
+from clacad.cli.console import Brief, Console, facts
 from clacad.cli.option_values import parse_distance
 
 if TYPE_CHECKING:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import mrad_text, pair_text, percent_text, short_size_text, span_text
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import (
     Command,
     OfDesign,
@@ -20,7 +19,7 @@ from clacad.cli.command import (
     overwrite_option,
     required,
 )
-from clacad.cli.console import Console, show_text, table
+from clacad.cli.console import Brief, Console, facts, show_text, table
 from clacad.cli.option_values import BadOption, cell_option, command_line, load_counted, load_design
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from clacad.cli.arguments import PROGRAM, VARIABLE, Common, Start
-from clacad.cli.command import commands, find, parameters
+from clacad.cli.command import PROGRAM, VARIABLE, Common, Start, commands, find, parameters
 from clacad.cli.option_values import BadOption
 
 BASH = r"""

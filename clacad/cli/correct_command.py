@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.base.text import mrad_text, plainly
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, option, overwrite_option, required
-from clacad.cli.console import Console
+from clacad.cli.console import Brief, Console, facts
 from clacad.cli.option_values import BadOption, cell_option, load_counted, tilted_option
 
 if TYPE_CHECKING:

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.base.text import short_size_text
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, commands, flag, option
-from clacad.cli.console import Console, show_json, table
+from clacad.cli.console import Brief, Console, facts, show_json, table
 
 if TYPE_CHECKING:
     from clacad.doctor import Diagnosis

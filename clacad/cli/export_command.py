@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from clacad.base.text import count_text, mrad_text, short_size_text, whole_number
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesignAsMade, declared, dry_run_option, option, required
-from clacad.cli.console import Console, Progress, say
+from clacad.cli.console import Brief, Console, Progress, facts, say
 from clacad.cli.option_values import (
     BadOption,
     command_line,

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from clacad.base.machine_rates import processor_seconds
 from clacad.base.text import mrad_text, percent_text
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, dry_run_option, option, overwrite_option
-from clacad.cli.console import Console, table
+from clacad.cli.console import Brief, Console, facts, table
 from clacad.cli.option_values import BadOption, load_counted, picture_kind, read_length, words_of
 
 if TYPE_CHECKING:
@@ -86,7 +85,7 @@ def parse_place(text: str, unit: str) -> tuple[float, float, float]:
 
     Raises BadOption.
     """
-    from clacad.config.quantities import LENGTH
+    from clacad.config.value_kinds import LENGTH
 
     parts = [part.strip() for part in text.split(",")]
     if len(parts) != 3:

@@ -10,9 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, Overridden, dry_run_option, flag, option, overwrite_option
-from clacad.cli.console import Console, say, table
+from clacad.cli.console import Brief, Console, facts, say, table
 from clacad.cli.option_values import BadOption, command_line
 
 if TYPE_CHECKING:
@@ -145,7 +144,7 @@ def _from_wish(request: New, target: Path, words: dict[str, Any], console: Conso
     console.show(
         lambda: _document(found, target, written=not request.dry_run),
         lambda: found.text.rstrip("\n") if request.dry_run else _text(found, target),
-        None if request.dry_run else lambda: _brief(found, target),
+        None if request.dry_run else lambda: _brief(found, words, target),
     )
     return 0
 
@@ -196,7 +195,7 @@ def _following(target: Path) -> tuple[str, str]:
     )
 
 
-def _brief(found: Proposal, target: Path) -> Brief:
+def _brief(found: Proposal, words: Mapping[str, Any], target: Path) -> Brief:
     """What was requested, the numbers of the design, what it does not do, next commands."""
     from clacad.advice.proposal import not_met, plain_words
     from clacad.advice.trade_offs import rows_of
@@ -208,7 +207,7 @@ def _brief(found: Proposal, target: Path) -> Brief:
         for name, value, unit in zip(names, values, units, strict=True)
     ]
     rows = [
-        ("requested", plain_words(found.wish)),
+        ("requested", plain_words(words)),
         ("design", ", ".join(made[1:])),
         *(("not met", text) for text in not_met(found.wish, found.judged)),
     ]

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.base.text import mrad_text
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, dry_run_option, flag, option, overwrite_option
-from clacad.cli.console import Console
-from clacad.cli.interrupts import INTERRUPTED
+from clacad.cli.console import Brief, Console, facts
+from clacad.cli.entry_point import INTERRUPTED
 from clacad.cli.option_values import (
     BadOption,
     cell_option,

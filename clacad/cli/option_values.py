@@ -17,7 +17,7 @@ from clacad.cli.command import option
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from clacad.config.quantities import Quantity
+    from clacad.config.value_kinds import Quantity
     from clacad.design import Design
 
 
@@ -273,7 +273,7 @@ def parse_bevel(text: str | None, design: Design) -> float:
 
 def parse_distance(option: str, text: str, unit: str, *, zero: bool = False) -> float:
     """Read a length above 0, or from 0 on, bare or with a unit, in the unit of a design."""
-    from clacad.config.quantities import LENGTH_ABOVE_0, LENGTH_FROM_0
+    from clacad.config.value_kinds import LENGTH_ABOVE_0, LENGTH_FROM_0
 
     return read_length(f"{option} {text.strip()}:", text, unit, LENGTH_FROM_0 if zero else LENGTH_ABOVE_0)
 

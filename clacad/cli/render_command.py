@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, Overridden, option, overwrite_option, required
-from clacad.cli.console import Console, Progress, table
+from clacad.cli.console import Brief, Console, Progress, facts, table
 from clacad.cli.option_values import BadOption, load_design, parse_angle, parse_distance
 
 if TYPE_CHECKING:
@@ -240,7 +239,7 @@ def _document(picture: Picture, file: Path) -> dict[str, Any]:
 
 def _render_eye(request: Render, photo: Path, console: Console) -> int:
     """Render a photograph behind the sheet, seen by an eye, with and without the sheet."""
-    from clacad.rendering.photograph_view import EyeRequest, eye_scene, without_sheet
+    from clacad.rendering.picture import EyeRequest, eye_scene, without_sheet
     from clacad.rendering.picture_cost import PIXELS_A_BLOCK as BLOCK
     from clacad.rendering.picture_cost import view_coarsely
     from clacad.rendering.picture_files import write_picture

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import percent_text
-from clacad.cli.brief import Brief
 from clacad.cli.command import (
     Command,
     Overridden,
@@ -17,7 +16,7 @@ from clacad.cli.command import (
     overwrite_option,
     required,
 )
-from clacad.cli.console import Console
+from clacad.cli.console import Brief, Console
 from clacad.cli.option_values import (
     BadOption,
     command_line,

@@ -8,9 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, declared, dry_run_option, flag, option, required
-from clacad.cli.console import Console, table
+from clacad.cli.console import Brief, Console, facts, table
 from clacad.cli.option_values import (
     BadOption,
     command_line,
@@ -222,7 +221,7 @@ def _solve(request: StackSheets, console: Console) -> int:
 
 def _wished_length(unit: str, said: str, text: str, signed: bool = False) -> float:
     """Read a length of a wish, 0 or above unless `signed`. Raises BadOption."""
-    from clacad.config.quantities import LENGTH, LENGTH_FROM_0
+    from clacad.config.value_kinds import LENGTH, LENGTH_FROM_0
 
     return read_length(f"{said}{text}:", text, unit, LENGTH if signed else LENGTH_FROM_0)
 
@@ -230,8 +229,7 @@ def _wished_length(unit: str, said: str, text: str, signed: bool = False) -> flo
 def _forecast(stack: Stack, request: StackRequest, out: Path | None, console: Console) -> int:
     """Print the cost of a stack and the places of its sheets; refuse what an export would be refused."""
     from clacad.cli.tables import forecast_text
-    from clacad.stacking.make_stack import cost_of
-    from clacad.stacking.stack_text import sheets_text
+    from clacad.stacking.make_stack import cost_of, sheets_text
 
     cost, span = cost_of(stack, request, out)
     console.show(
@@ -269,8 +267,15 @@ def _make(
     designs: Sequence[Design], stack: Stack, request: StackRequest, out: Path | None, console: Console
 ) -> int:
     """Measure, write, print: the share of light first."""
-    from clacad.stacking.make_stack import TASK, in_all, light_seconds, run_stack
-    from clacad.stacking.stack_text import facts_of, share_text, stack_text
+    from clacad.stacking.make_stack import (
+        TASK,
+        facts_of,
+        in_all,
+        light_seconds,
+        run_stack,
+        share_text,
+        stack_text,
+    )
 
     with console.progress() as progress:
         if out is None:

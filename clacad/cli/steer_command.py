@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from clacad.base.text import mrad_text, percent_text, table
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, dry_run_option, option, overwrite_option, required
-from clacad.cli.console import Console
+from clacad.cli.console import Brief, Console, facts
 from clacad.cli.option_values import BadOption, load_counted, parse_angle, parse_moves, parse_travel
 
 if TYPE_CHECKING:

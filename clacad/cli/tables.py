@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from clacad.base.text import DIGITS, bound, count_text, mrad_text, short_size_text, shown, span_text
-from clacad.cli.brief import Entry
-from clacad.cli.console import table
+from clacad.cli.console import Entry, table
 
 MARKS = {"pass": "ok", "fail": "FAIL", "warn": "warn", "not run": "not run"}
 

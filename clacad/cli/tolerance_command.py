@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.text import mrad_text, percent_text
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesign, option, overwrite_option, required
-from clacad.cli.console import Console, table
+from clacad.cli.console import Brief, Console, facts, table
 from clacad.cli.option_values import cell_option, load_counted, of_cell, parse_slopes, words_of
 
 if TYPE_CHECKING:

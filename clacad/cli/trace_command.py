@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from clacad.base.text import count_text, mrad_text, short_size_text
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import (
     Command,
     OfDesign,
@@ -25,7 +24,7 @@ from clacad.cli.command import (
     overwrite_option,
     required,
 )
-from clacad.cli.console import Console, Progress, table
+from clacad.cli.console import Brief, Console, Progress, facts, table
 from clacad.cli.option_values import (
     BadOption,
     load_counted,

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from clacad.cli.brief import Brief, facts
 from clacad.cli.command import Command, OfDesignAsMade, declared, flag, option
-from clacad.cli.console import Console, Progress, table
+from clacad.cli.console import Brief, Console, Progress, facts, table
 from clacad.cli.option_values import (
     BadOption,
     cell_option,

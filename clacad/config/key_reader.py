@@ -14,13 +14,12 @@ from typing import Any, Final
 from clacad.base import units
 from clacad.base.text import did_you_mean, mrad_text, near
 from clacad.base.units import Unit
-from clacad.config.compound_kinds import ListOf, WordOr
-from clacad.config.keys import REQUIRED, Key
+from clacad.config.compound_kinds import REQUIRED, Key, ListOf, WordOr
 from clacad.config.mistakes import Mistake
-from clacad.config.quantities import Quantity
 from clacad.config.value_kinds import (
     FormatVersion,
     JsonSchema,
+    Quantity,
     Refusal,
     Text,
     UnitWord,

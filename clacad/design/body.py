@@ -13,10 +13,20 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from clacad.base.text import count_text
 from clacad.base.units import Unit
-from clacad.config.compound_kinds import ListOf, OneOf, Record, Several, each
-from clacad.config.keys import REQUIRED, key
-from clacad.config.quantities import LENGTH, LENGTH_ABOVE_0, LENGTH_FROM_0, Quantity
-from clacad.config.value_kinds import Flag, JsonSchema, Refusal, Text, Whole, WrittenAsRead, not_this
+from clacad.config.compound_kinds import REQUIRED, ListOf, OneOf, Record, Several, each, key
+from clacad.config.value_kinds import (
+    LENGTH,
+    LENGTH_ABOVE_0,
+    LENGTH_FROM_0,
+    Flag,
+    JsonSchema,
+    Quantity,
+    Refusal,
+    Text,
+    Whole,
+    WrittenAsRead,
+    not_this,
+)
 
 if TYPE_CHECKING:  # a design is read without numpy
     from clacad.base.types import Pair2

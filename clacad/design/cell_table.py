@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Final
 
 from clacad.base.text import printable
 from clacad.base.untrusted_files import BUDGETS, require_regular
-from clacad.config.keys import REQUIRED, key
+from clacad.config.compound_kinds import REQUIRED, key
 from clacad.config.mistakes import design_error, too_large
 from clacad.config.toml_text import folder_of, outside
 from clacad.config.value_kinds import Text

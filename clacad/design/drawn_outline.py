@@ -27,8 +27,7 @@ from clacad.base import units
 from clacad.base.text import count_text, whole_number
 from clacad.base.untrusted_files import BUDGETS, read_regular
 from clacad.config.mistakes import DesignTooLarge, Mistake
-from clacad.config.quantities import SMALLEST_M
-from clacad.config.value_kinds import shown
+from clacad.config.value_kinds import SMALLEST_M, shown
 from clacad.design.body import MOST_VERTICES, VERTICES, Vertex
 
 UNITS: Final = {1: "in", 4: "mm", 5: "cm", 6: "m", 12: "nm", 13: "um"}

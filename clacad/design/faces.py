@@ -23,10 +23,20 @@ from clacad.base.units import (
     Unit,
     split,
 )
-from clacad.config.compound_kinds import ListOf, Several, WordOr
-from clacad.config.keys import REQUIRED, key, written
-from clacad.config.quantities import LENGTH, LENGTH_ABOVE_0, LENGTH_FROM_0, Quantity
-from clacad.config.value_kinds import Flag, JsonSchema, Refusal, Text, Whole, WrittenAsRead, not_this
+from clacad.config.compound_kinds import REQUIRED, ListOf, Several, WordOr, key, written
+from clacad.config.value_kinds import (
+    LENGTH,
+    LENGTH_ABOVE_0,
+    LENGTH_FROM_0,
+    Flag,
+    JsonSchema,
+    Quantity,
+    Refusal,
+    Text,
+    Whole,
+    WrittenAsRead,
+    not_this,
+)
 
 if TYPE_CHECKING:  # a design is read without numpy
     from clacad.base.types import Pair2

@@ -9,10 +9,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal
 
-from clacad.config.compound_kinds import ListOf, Record, Several
-from clacad.config.keys import REQUIRED, key
-from clacad.config.quantities import Quantity
-from clacad.config.value_kinds import Text, Whole, Word
+from clacad.config.compound_kinds import REQUIRED, ListOf, Record, Several, key
+from clacad.config.value_kinds import Quantity, Text, Whole, Word
 from clacad.design.process_profiles import TOLERANCE_CLASSES
 
 if TYPE_CHECKING:  # a design is read without numpy

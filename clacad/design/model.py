@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from clacad.base.units import Unit, design_unit
+from clacad.config.compound_kinds import written
 from clacad.config.edit_text import changed_keys, to_toml
-from clacad.config.keys import written
 from clacad.config.value_kinds import FORMAT
 from clacad.design.body import BodySpec
 from clacad.design.limit_sections import CheckSpec, ProcessSpec, TolerancesSpec

@@ -11,8 +11,8 @@ from typing import Any
 
 from clacad.base import units
 from clacad.config import edit_text as override
+from clacad.config.compound_kinds import attributes_of
 from clacad.config.key_reader import KeyReader
-from clacad.config.keys import attributes_of
 from clacad.config.mistakes import DesignError, Mistake, in_order, located
 from clacad.config.toml_text import given_table, parse, read_text
 from clacad.design.body import filling_count

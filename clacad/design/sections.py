@@ -14,11 +14,30 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from clacad.config import key_reader as schema
-from clacad.config.compound_kinds import ListOf, ListOr, Record, Several, WordOr
+from clacad.config.compound_kinds import (
+    REQUIRED,
+    Key,
+    KeyPaths,
+    ListOf,
+    ListOr,
+    Record,
+    Several,
+    WordOr,
+    key,
+    keys_of,
+)
 from clacad.config.key_reader import FileForm, head_keys
-from clacad.config.keys import REQUIRED, Key, KeyPaths, key, keys_of
-from clacad.config.quantities import LENGTH, LENGTH_ABOVE_0, LENGTH_FROM_0, Quantity
-from clacad.config.value_kinds import LARGEST_COUNT, Flag, Text, Whole, Word
+from clacad.config.value_kinds import (
+    LARGEST_COUNT,
+    LENGTH,
+    LENGTH_ABOVE_0,
+    LENGTH_FROM_0,
+    Flag,
+    Quantity,
+    Text,
+    Whole,
+    Word,
+)
 from clacad.design.body import OUTLINE, BodySpec, Outline
 from clacad.design.faces import CONIC, FaceSpec, SearchRecord
 from clacad.design.limit_sections import CheckSpec, ProcessSpec, TolerancesSpec

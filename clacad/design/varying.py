@@ -7,10 +7,8 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final
 
 from clacad.base.units import Unit
-from clacad.config.compound_kinds import OneOf, Record, Several
-from clacad.config.keys import REQUIRED, key
-from clacad.config.quantities import Quantity
-from clacad.config.value_kinds import JsonSchema, Refusal
+from clacad.config.compound_kinds import REQUIRED, OneOf, Record, Several, key
+from clacad.config.value_kinds import JsonSchema, Quantity, Refusal
 from clacad.design.cell_table import TABLE_NAME, TableSpec
 
 if TYPE_CHECKING:  # a design is read without numpy

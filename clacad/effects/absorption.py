@@ -15,8 +15,19 @@ from math import exp, pi
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.effects.engine.block import FaceCrossing, RayBlock, inside_plate, unit_rows
-from clacad.effects.engine.effect import Bound, Declaration, Effect, Losses, Setting, Situation, When
+from clacad.effects.engine.effect import (
+    Bound,
+    Declaration,
+    Effect,
+    FaceCrossing,
+    Losses,
+    RayBlock,
+    Setting,
+    Situation,
+    When,
+    inside_plate,
+    unit_rows,
+)
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Body, Window
 
@@ -78,7 +89,7 @@ def path_in(block: RayBlock, number: int, body: Body) -> Floats:
     """Path length of each ray inside a body (m,)."""
     result = block.result
     if block.rung in ("law", "thin"):
-        from clacad.effects.engine.stand_ins import mean_thickness
+        from clacad.effects.engine.probe_rays import mean_thickness
 
         ray = unit_rows(block.rays.direction) if number == 0 else result.direction
         axis = block.window.thin.rotation[:, 2]

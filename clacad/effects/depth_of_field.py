@@ -11,8 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.vectors import axes_across, unit
-from clacad.effects.engine.block import disc
-from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
+from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When, disc
 from clacad.optics.rays import Rays
 from clacad.sheet.window import Window
 

@@ -22,9 +22,18 @@ from numpy.typing import NDArray
 from clacad.base.text import nm_text
 from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
-from clacad.effects.engine.block import FaceCrossing, RayBlock, uniform
 from clacad.effects.engine.camera_light import turned_angles
-from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
+from clacad.effects.engine.effect import (
+    Bound,
+    Declaration,
+    Effect,
+    FaceCrossing,
+    RayBlock,
+    Setting,
+    Situation,
+    When,
+    uniform,
+)
 from clacad.optics.aperture import equivalent_widths
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.sheet.vignetting import (

@@ -12,8 +12,17 @@ from __future__ import annotations
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.effects.engine.block import FaceCrossing, RayBlock, traced_of
-from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
+from clacad.effects.engine.effect import (
+    Bound,
+    Declaration,
+    Effect,
+    FaceCrossing,
+    RayBlock,
+    Setting,
+    Situation,
+    When,
+    traced_of,
+)
 from clacad.effects.engine.passes import trace_with
 from clacad.optics.rays import Fate
 from clacad.optics.surface.fresnel_coefficients import deviation, normal_loss, reflected, transmission

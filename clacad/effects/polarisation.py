@@ -29,9 +29,20 @@ from math import cos, sin
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.effects.engine.block import FaceCrossing, RayBlock, crossings, traced_of, unit_rows
 from clacad.effects.engine.camera_light import MOST, traced_with
-from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
+from clacad.effects.engine.effect import (
+    Bound,
+    Declaration,
+    Effect,
+    FaceCrossing,
+    RayBlock,
+    Setting,
+    Situation,
+    When,
+    crossings,
+    traced_of,
+    unit_rows,
+)
 from clacad.effects.fresnel import NAME as FRESNEL
 from clacad.effects.reflections import NAME as REFLECTIONS
 from clacad.optics.rays import Fate

@@ -17,9 +17,20 @@ import numpy as np
 
 from clacad.base.text import nm_text
 from clacad.base.types import Floats, Ints
-from clacad.effects.engine.block import FaceCrossing, RayBlock, bend, lens_slopes, normal
 from clacad.effects.engine.camera_light import radiance_change, turned_angles
-from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
+from clacad.effects.engine.effect import (
+    Bound,
+    Declaration,
+    Effect,
+    FaceCrossing,
+    RayBlock,
+    Setting,
+    Situation,
+    When,
+    bend,
+    lens_slopes,
+    normal,
+)
 from clacad.sheet.vignetting import focal_ratio, scale_of_image, thin_cells
 from clacad.sheet.window import Window
 

@@ -8,8 +8,16 @@ until they leave. Off: they end, black.
 
 from __future__ import annotations
 
-from clacad.effects.engine.block import FaceCrossing, RayBlock
-from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
+from clacad.effects.engine.effect import (
+    Bound,
+    Declaration,
+    Effect,
+    FaceCrossing,
+    RayBlock,
+    Setting,
+    Situation,
+    When,
+)
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 

@@ -11,8 +11,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.effects.engine.block import FaceCrossing, RayBlock
-from clacad.effects.engine.effect import Bound, Declaration, Effect, Setting, Situation, When
+from clacad.effects.engine.effect import (
+    Bound,
+    Declaration,
+    Effect,
+    FaceCrossing,
+    RayBlock,
+    Setting,
+    Situation,
+    When,
+)
 from clacad.optics.rays import Fate
 from clacad.sheet.window import Window
 
@@ -52,7 +60,7 @@ def bound(situation: Situation) -> Bound:
 
 def step_share(window: Window) -> float:
     """Σ over borders of mean step height over pitch, summed over the faces: WALL share per unit of slope."""
-    from clacad.effects.engine.stand_ins import mean_steps
+    from clacad.effects.engine.probe_rays import mean_steps
 
     return mean_steps(window)
 

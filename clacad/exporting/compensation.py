@@ -11,6 +11,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.design.process import Process, process_of
+from clacad.optics.fit import degree_pairs
 from clacad.sheet.cell_places import ALONG, LensForm, of_middle, places_in_rows
 from clacad.sheet.shrunk import bent_window, grown_window, growth
 from clacad.sheet.window import changed_faces
@@ -92,8 +93,7 @@ def form_name(side: str) -> str:
 
 def _with_form(window: Window, face: Face, rows: Floats) -> Window:
     """The window with a face whose lenses have forms; cells of the window are the central ones."""
-    pairs = [(i, degree - i) for degree in range(ALONG) for i in range(degree + 1)]  # as in `legendre`
-    (i, j), products = zip(*pairs), np.zeros((len(rows), ALONG, ALONG))
+    (i, j), products = zip(*degree_pairs(TERMS)), np.zeros((len(rows), ALONG, ALONG))
     products[:, i, j] = rows[:, HEAD:]
     (half, count), (shared, *others) = (
         (rows[0, :2], rows[0, 2:HEAD].astype(int)),

@@ -27,7 +27,7 @@ from clacad.storage.reading import Overheard
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.exporting.formats.file_kind import FileKind
+    from clacad.exporting.formats.format import FileKind
 
 
 LONGEST_NAME = 255

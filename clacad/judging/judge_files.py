@@ -49,7 +49,7 @@ from clacad.storage.reading import Overheard
 
 if TYPE_CHECKING:
     from clacad.design import Design
-    from clacad.exporting.formats.file_kind import FileKind
+    from clacad.exporting.formats.format import FileKind
     from clacad.formats.mesh.file_mesh import FileMesh
 
 

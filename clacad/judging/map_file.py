@@ -34,7 +34,7 @@ from clacad.checks.check import Check, other
 from clacad.checks.file_kinds import READABLE, SHAPE, THROUGH_FILE, unreadable
 from clacad.design.process import process_of
 from clacad.exporting.formats import registry
-from clacad.exporting.formats.file_kind import FaceFile, FileKind, Reading
+from clacad.exporting.formats.format import FaceFile, FileKind, Reading
 from clacad.exporting.formats.workshop import TOOL_POINTS, insert_file, is_insert, surface_misfit
 from clacad.exporting.limits import refuse_no_cell
 from clacad.exporting.roles import Role
@@ -65,7 +65,7 @@ from clacad.tracing.worst_cell import SeenCell
 if TYPE_CHECKING:
     from clacad.design import Design
     from clacad.exporting.compensation import Compensation
-    from clacad.exporting.formats.file_kind import FileKind
+    from clacad.exporting.formats.format import FileKind
     from clacad.judging.delivery import Inspection, Subject
 
 

@@ -128,13 +128,14 @@ def legendre(s: Floats, t: Floats, count: int) -> Floats:
     """First `count` products (n, count) of Legendre polynomials of places scaled to [−1, 1], by their
     degree.
     """
-    pairs: list[tuple[int, int]] = []
-    degree = -1
-    while len(pairs) < count:
-        degree += 1
-        pairs += [(i, degree - i) for i in range(degree + 1)]
-    one, two = (np.polynomial.legendre.legvander(at, degree) for at in (s, t))
-    return np.stack([one[:, i] * two[:, j] for i, j in pairs[:count]], axis=1)
+    pairs = degree_pairs(count)
+    one, two = (np.polynomial.legendre.legvander(at, sum(pairs[-1])) for at in (s, t))
+    return np.stack([one[:, i] * two[:, j] for i, j in pairs], axis=1)
+
+
+def degree_pairs(count: int) -> list[tuple[int, int]]:
+    """Degrees along both axes of the first `count` products of polynomials, by the degree of the product."""
+    return [(i, degree - i) for degree in range(count) for i in range(degree + 1)][:count]
 
 
 EVEN_ORDERS = {"a4": 4, "a6": 6, "a8": 8}

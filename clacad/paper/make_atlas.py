@@ -326,7 +326,7 @@ def _first_figure(
     stage: Stage, section: Scene, solids: Scene, *, measured: bool
 ) -> dict[str, tuple[AtlasFinding, ...]]:
     """Figure 1: the section with rays as SVG, and the sheet as a picture; return the findings of both."""
-    from clacad.paper.figure1_section import section_svg
+    from clacad.paper.figure1 import section_svg
 
     stage.path("fig1a.svg").write_text(section_svg(section.design()), encoding="utf-8")
     text = (

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from clacad.rendering.scene_arrays import SceneArrays
     from clacad.rendering.sheet_passage import Passage
     from clacad.scene import Camera, Light
-    from clacad.scene.kinds import Rgb
+    from clacad.scene.sections import Rgb
     from clacad.sheet.window import Window
 
 _D65_NM = tuple(range(430, 660, 10))

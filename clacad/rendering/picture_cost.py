@@ -30,8 +30,9 @@ from clacad.exporting.formats.indexed_meshes import THREEMF
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import View, Viewing, aim, rays
 from clacad.rendering.picture import BLOCK, Picture, tile, tried, view_through, worth_compiling
+from clacad.rendering.scene_hits import may_cross
 from clacad.rendering.sheet_passage import Passage
-from clacad.rendering.view import first_box, kernels_are_kept, may_cross, set_up
+from clacad.rendering.view import first_box, kernels_are_kept, set_up
 from clacad.scene import Scene
 from clacad.sheet.window import Window
 from clacad.storage.errors import BadRequest

@@ -20,7 +20,7 @@ from clacad.base.types import Floats
 from clacad.rendering.photographs import read_picture
 from clacad.scene import chess_knight
 from clacad.scene.chess_knight import turned
-from clacad.tracing.facets.hierarchy import ROOT, Hierarchy, joined, mesh_tree
+from clacad.tracing.facets.hierarchy import Hierarchy, joined, mesh_tree
 
 if TYPE_CHECKING:
     from clacad.base.types import Floats, Ints
@@ -49,32 +49,6 @@ class Primitive:
     image: Floats | None = None
     tree: Hierarchy | None = None
 
-    @property
-    def bound(self) -> tuple[float, float, float, float]:
-        """Centre and radius of a sphere round it."""
-        a, b, c, _ = self.size
-        middle = np.zeros(3)
-        if self.kind == FLOOR:
-            return 0.0, 0.0, 0.0, math.inf
-        if self.kind == SPHERE:
-            radius = a
-        elif self.kind == CONE:
-            middle, radius = np.array([0.0, 0.5 * c, 0.0]), math.hypot(max(a, b), 0.5 * c)
-        elif self.kind in (PRISM, MESH):
-            assert self.outline is not None or self.tree is not None
-            if self.outline is not None:
-                low, high = (
-                    np.array([*f(self.outline, axis=0), s * a]) for f, s in ((np.min, -1), (np.max, 1))
-                )
-            else:
-                assert self.tree is not None
-                low, high = self.tree.box[0, :3], self.tree.box[0, 3:]
-            middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-        else:
-            radius = math.hypot(a, b, c)
-        x, y, z = self.rotation @ middle + self.origin
-        return float(x), float(y), float(z), radius * (1.0 + 1e-9)
-
 
 @dataclass(frozen=True, eq=False)
 class SceneArrays:
@@ -85,7 +59,7 @@ class SceneArrays:
     origin : (n, 3)
     size : (n, 4). Sphere: radius. Box, screen: half extents. Cone: bottom radius, top radius, height. Prism:
         half thickness. Floor: reach.
-    bound : (n, 4). Centre and radius of a sphere round the primitive (radius infinite for a floor).
+    box : (n, 2, 3). Low and high corner, scene frame, of a box round the primitive (infinite for a floor).
     paint : (n,) ints
     colours : (n, 2, 3)
     pattern : (n,). Side of a tile, width of a pair of stripes.
@@ -94,8 +68,8 @@ class SceneArrays:
     outline : (k, 2). Corners of prisms.
     pixels : (k, 3), picture : (n, 2) ints. Linear light of pictures, row by row; height and width.
     forest : All meshes, each in its tree.
-    cluster : (m, 2) ints, cluster_bound : (m, 4)
-        First and end primitive of each object, and a sphere round it.
+    cluster : (m, 2) ints, cluster_box : (m, 2, 3)
+        First and end primitive of each object, and a box round it.
     towards_light : (3,) unit
     sky : (2, 3), ground : (3,)
     """
@@ -104,7 +78,7 @@ class SceneArrays:
     rotation: Floats
     origin: Floats
     size: Floats
-    bound: Floats
+    box: Floats
     paint: Ints
     colours: Floats
     pattern: Floats
@@ -114,7 +88,7 @@ class SceneArrays:
     picture: Ints
     forest: Hierarchy
     cluster: Ints
-    cluster_bound: Floats
+    cluster_box: Floats
     ambient: float
     key: float
     towards_light: Floats
@@ -143,13 +117,14 @@ def stage_of(clusters: list[list[Primitive]], light: Light, sky: Background) -> 
     trees = tuple(one.tree for one in flat if one.tree is not None)
     ends = np.cumsum([len(cluster) for cluster in clusters], dtype=np.int64)
     starts = np.concatenate([[0], ends[:-1]]).astype(np.int64) if len(ends) else np.zeros(0, np.int64)
-    bounds = np.array([one.bound for one in flat]).reshape(-1, 4)
+    boxes = np.array([_box(one) for one in flat]).reshape(-1, 2, 3)
+    around = [(boxes[a:b, 0].min(axis=0), boxes[a:b, 1].max(axis=0)) for a, b in zip(starts, ends)]
     return SceneArrays(
         kind=np.array([one.kind for one in flat], dtype=np.int64),
         rotation=np.array([one.rotation for one in flat]).reshape(-1, 3, 3),
         origin=np.array([one.origin for one in flat], dtype=np.float64).reshape(-1, 3),
         size=np.array([one.size for one in flat], dtype=np.float64).reshape(-1, 4),
-        bound=bounds,
+        box=boxes,
         paint=np.array([one.paint for one in flat], dtype=np.int64),
         colours=np.array([one.colours for one in flat], dtype=np.float64).reshape(-1, 2, 3),
         pattern=np.array([one.pattern for one in flat], dtype=np.float64),
@@ -159,7 +134,7 @@ def stage_of(clusters: list[list[Primitive]], light: Light, sky: Background) -> 
         picture=np.array([i.shape[:2] for i in images], dtype=np.int64).reshape(-1, 2),
         forest=joined(trees),
         cluster=np.stack([starts, ends], axis=-1) if len(ends) else np.zeros((0, 2), np.int64),
-        cluster_bound=np.array([_around(bounds[a:b]) for a, b in zip(starts, ends)]).reshape(-1, 4),
+        cluster_box=np.array(around).reshape(-1, 2, 3),
         ambient=light.ambient,
         key=light.key,
         towards_light=towards,
@@ -179,17 +154,6 @@ def _pieces(flat: list[Primitive], outlines: list[Floats], images: list[Floats])
             found.append((corner, corner + len(outline)) if len(outline) else (pixel, pixel + rows))
         corner, pixel = corner + len(outline), pixel + rows
     return np.array(found, dtype=np.int64).reshape(-1, 2)
-
-
-def _around(bounds: Floats) -> tuple[float, float, float, float]:
-    """A sphere round spheres (k, 4)."""
-    if not np.isfinite(bounds[:, 3]).all():
-        return 0.0, 0.0, 0.0, math.inf
-    low = (bounds[:, :3] - bounds[:, 3:]).min(axis=0)
-    high = (bounds[:, :3] + bounds[:, 3:]).max(axis=0)
-    centre = 0.5 * (low + high)
-    radius = float((np.linalg.norm(bounds[:, :3] - centre, axis=1) + bounds[:, 3]).max())
-    return float(centre[0]), float(centre[1]), float(centre[2]), radius
 
 
 def _primitives(scene: Scene, thing: SceneObject) -> Iterator[Primitive]:
@@ -323,7 +287,6 @@ def tables(stage: SceneArrays) -> Tables:
     for kind, start, width in ((PRISM, 0, 2), (SCREEN, pixel0, 3), (MESH, 0, 1)):
         rows = stage.kind == kind
         piece[rows] = start + width * stage.piece[rows]
-    boxes = np.array([_box(stage, k) for k in range(n)]).reshape(-1, 2, 3)
     prim = np.column_stack(
         [
             stage.kind,
@@ -332,34 +295,24 @@ def tables(stage: SceneArrays) -> Tables:
             piece,
             stage.picture,
             stage.size,
-            boxes.reshape(-1, 6),
+            stage.box.reshape(-1, 6),
             stage.origin,
             stage.rotation.reshape(-1, 9),
             stage.colours.reshape(-1, 6),
         ]
     )
     world = np.concatenate([[stage.ambient, stage.key], stage.towards_light, stage.sky.ravel(), stage.ground])
-    cluster = np.column_stack([stage.cluster, _round(stage, boxes)])
+    low, high = stage.cluster_box[:, 0], stage.cluster_box[:, 1]
+    with np.errstate(invalid="ignore"):  # a floor has no middle
+        middle, half = np.where(np.isfinite(low), 0.5 * (low + high), 0.0), 0.5 * (high - low)
+    cluster = np.column_stack([stage.cluster, middle, half])
     cluster, prim = np.ascontiguousarray(cluster, dtype=np.float64), prim.reshape(-1, PRIM_WIDTH)
     return Tables(world, cluster, prim, store, stage.forest)
 
 
-def _round(stage: SceneArrays, boxes: Floats) -> Floats:
-    """Centre and half extents (m, 6) of a box along the scene's axes round each object."""
-    found = np.empty((len(stage.cluster), 6))
-    for row, (first, end) in enumerate(stage.cluster):
-        corners = boxes[first:end]
-        low, high = corners[:, 0].min(axis=0, initial=np.inf), corners[:, 1].max(axis=0, initial=-np.inf)
-        if np.isfinite(corners).all():
-            found[row, :3], found[row, 3:] = (0.5 * (low + high), 0.5 * (high - low))
-        else:
-            found[row, :3], found[row, 3:] = 0.0, np.inf
-    return found
-
-
-def _box(stage: SceneArrays, k: int) -> Floats:
-    """Low and high corner (2, 3), scene frame, of a box round primitive k."""
-    kind, (a, b, c, _) = stage.kind[k], stage.size[k]
+def _box(one: Primitive) -> Floats:
+    """Low and high corner (2, 3), scene frame, of a box round a primitive."""
+    kind, (a, b, c, _) = one.kind, one.size
     half, middle = np.array([a, b, c]), np.zeros(3)
     if kind == FLOOR:
         return np.array([[-np.inf] * 3, [np.inf] * 3])
@@ -370,14 +323,12 @@ def _box(stage: SceneArrays, k: int) -> Floats:
         half, middle = np.array([radius, 0.5 * c, radius]), np.array([0.0, 0.5 * c, 0.0])
     elif kind == SCREEN:
         half = np.array([a, b, 0.0])
-    elif kind in (PRISM, MESH):
-        if kind == PRISM:
-            outline = stage.outline[stage.piece[k, 0] : stage.piece[k, 1]]
-            low, high = np.append(outline.min(axis=0), -a), np.append(outline.max(axis=0), a)
-        else:
-            low, high = stage.forest.box[stage.forest.tree[stage.piece[k, 0], ROOT]].reshape(2, 3)
+    elif one.outline is not None:
+        low, high = np.append(one.outline.min(axis=0), -a), np.append(one.outline.max(axis=0), a)
         half, middle = 0.5 * (high - low), 0.5 * (high + low)
-    turn = stage.rotation[k]
-    centre, reach = turn @ middle + stage.origin[k], np.abs(turn) @ half
+    elif one.tree is not None:
+        low, high = one.tree.box[0, :3], one.tree.box[0, 3:]
+        half, middle = 0.5 * (high - low), 0.5 * (high + low)
+    centre, reach = one.rotation @ middle + one.origin, np.abs(one.rotation) @ half
     reach = reach + 1e-9 * reach.max()
     return np.array([centre - reach, centre + reach])

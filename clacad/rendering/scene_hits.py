@@ -10,20 +10,8 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.base.vectors import doubled_normals
-from clacad.rendering.scene_arrays import (
-    BOX,
-    CHECKER,
-    CONE,
-    COORDINATES,
-    FLOOR,
-    IMAGE,
-    LIT,
-    MESH,
-    PRISM,
-    SPHERE,
-    STRIPES,
-    SceneArrays,
-)
+from clacad.rendering import scene_arrays as slot
+from clacad.rendering.scene_arrays import SceneArrays
 from clacad.tracing.facets.hierarchy import nearest_triangle
 
 UNTURNED = np.eye(3)
@@ -70,16 +58,16 @@ def _nearest(
     distance = np.full(len(origin), limit) if np.isscalar(limit) else np.array(limit, dtype=np.float64)
     which = np.full(len(origin), -1, dtype=np.int64)
     triangle = np.full(len(origin), -1, dtype=np.int64)
-    for (first, end), bound in zip(stage.cluster, stage.cluster_bound, strict=True):
-        near = np.flatnonzero(_may_meet(bound, origin, direction))
+    for (first, end), box in zip(stage.cluster, stage.cluster_box, strict=True):
+        near = np.flatnonzero(may_cross(box, origin, direction))
         for k in range(first, end) if len(near) else ():
-            rows = near[_may_meet(stage.bound[k], origin[near], direction[near])]
+            rows = near[may_cross(stage.box[k], origin[near], direction[near])]
             if not len(rows):
                 continue
             local, ray = origin[rows] - stage.origin[k], direction[rows]
             if (stage.rotation[k] != UNTURNED).any():
                 local, ray = local @ stage.rotation[k], ray @ stage.rotation[k]
-            if stage.kind[k] == MESH:
+            if stage.kind[k] == slot.MESH:
                 t, facet = nearest_triangle(stage.forest, int(stage.piece[k, 0]), local, ray, distance[rows])
                 triangle[rows[facet >= 0]] = facet[facet >= 0]
                 closer = facet >= 0
@@ -90,34 +78,28 @@ def _nearest(
     return distance, which, triangle
 
 
-def _may_meet(bound: Floats, origin: Floats, direction: Floats) -> Bools:
-    """Whether rays enter a sphere (centre, radius) at a distance above 0."""
-    if not np.isfinite(bound[3]):
-        return np.ones(len(origin), dtype=bool)
-    x, y, z = (bound[:3] - origin).T
-    dx, dy, dz = direction.T
-    along, length2 = x * dx + y * dy + z * dz, dx * dx + dy * dy + dz * dz
-    off2 = (x * x + y * y + z * z) * length2 - along * along
-    # the difference of two near squares: a tolerance is added for its rounding
-    return np.asarray(
-        (off2 <= bound[3] * bound[3] * length2 + 1e-12 * along * along)
-        & (along >= -bound[3] * np.sqrt(length2))
-    )
+def may_cross(box: Floats, position: Floats, direction: Floats) -> Bools:
+    """Which rays (n,) pass through a box (low, high)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (box[0] - position) / direction, (box[1] - position) / direction
+        near = np.fmax.reduce(np.fmin(a, b), axis=1)
+        far = np.fmin.reduce(np.fmax(a, b), axis=1)
+    return np.asarray((near <= far * (1.0 + 1e-12)) & (far > 0.0))
 
 
 def _distance(stage: SceneArrays, k: int, local: Floats, ray: Floats) -> Floats:
     """Distance (n,) to a primitive in its own frame; NaN or ∞ where it is missed."""
     kind, (a, b, c, _) = stage.kind[k], stage.size[k]
-    if kind == FLOOR:
+    if kind == slot.FLOOR:
         t = -local[:, 1] / ray[:, 1]
         return np.where(t * np.linalg.norm(ray, axis=1) <= a, t, np.nan)
-    if kind == SPHERE:
+    if kind == slot.SPHERE:
         return _sphere(local, ray, a)
-    if kind == BOX:
+    if kind == slot.BOX:
         return _box(local, ray, np.array([a, b, c]))
-    if kind == CONE:
+    if kind == slot.CONE:
         return _cone(local, ray, a, b, c)
-    if kind == PRISM:
+    if kind == slot.PRISM:
         first, end = stage.piece[k]
         return _prism(local, ray, a, stage.outline[first:end])
     t = -local[:, 2] / ray[:, 2]
@@ -215,17 +197,17 @@ def _painted(
     turn = stage.rotation[k]
     local = (origin - stage.origin[k]) @ turn + distance[:, None] * (direction @ turn)
     paint, (first, second) = stage.paint[k], stage.colours[k]
-    if paint == COORDINATES:
+    if paint == slot.COORDINATES:
         share = local[:, :2] / (2.0 * stage.size[k, :2]) + 0.5
         return np.column_stack([share, np.ones(len(local))])
-    if paint == IMAGE:
+    if paint == slot.IMAGE:
         return _sampled(stage, k, local)
     colour = np.broadcast_to(first, (len(local), 3))
-    if paint == CHECKER:
+    if paint == slot.CHECKER:
         side = stage.pattern[k]
         odd = (np.floor(local[:, 0] / side) + np.floor(local[:, 2] / side)) % 2.0 == 1.0
         colour = np.where(odd[:, None], first, second)
-    elif paint == STRIPES:
+    elif paint == slot.STRIPES:
         period = stage.pattern[k]
         colour = np.where((np.floor(2.0 * local[:, 0] / period) % 2.0 == 0.0)[:, None], first, second)
     if stage.key == 0.0:
@@ -241,23 +223,23 @@ def _normal(stage: SceneArrays, k: int, local: Floats, triangle: Ints) -> Floats
     """Unit normals (n, 3) in the primitive's frame, of either sign."""
     kind, (a, b, c, _) = stage.kind[k], stage.size[k]
     normal = np.zeros_like(local)
-    if kind == FLOOR:
+    if kind == slot.FLOOR:
         normal[:, 1] = 1.0
-    elif kind == SPHERE:
+    elif kind == slot.SPHERE:
         normal = local / a
-    elif kind == BOX:
+    elif kind == slot.BOX:
         side = np.argmax(np.abs(local) / np.array([a, b, c]), axis=1)
         normal[np.arange(len(local)), side] = 1.0
-    elif kind == CONE:
+    elif kind == slot.CONE:
         slope, radius = (b - a) / c, np.hypot(local[:, 0], local[:, 2])
         off = np.abs(radius - (a + slope * local[:, 1]))
         flat = np.minimum(np.abs(local[:, 1]), np.abs(local[:, 1] - c)) < off
         mantle = np.column_stack([local[:, 0], -slope * radius, local[:, 2]])
         normal = np.where(flat[:, None], (0.0, 1.0, 0.0), mantle)
-    elif kind == PRISM:
+    elif kind == slot.PRISM:
         first, end = stage.piece[k]
         normal = _prism_normal(local, a, stage.outline[first:end])
-    elif kind == MESH:
+    elif kind == slot.MESH:
         corner = stage.forest.corner[triangle]
         normal = doubled_normals(corner)
     else:
@@ -299,4 +281,4 @@ def _sampled(stage: SceneArrays, k: int, local: Floats) -> Floats:
     return np.asarray(upper * (1.0 - v) + lower * v)
 
 
-__all__ = ["LIT", "background", "look", "nearest"]
+__all__ = ["background", "look", "nearest"]

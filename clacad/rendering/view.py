@@ -17,8 +17,8 @@ from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.rays import Rays
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering.camera import SpectralLine, View, Viewing, digits, lines
-from clacad.rendering.scene_arrays import BOX, FLOOR, SCREEN, SceneArrays, set_stage
-from clacad.rendering.scene_hits import background, look
+from clacad.rendering.scene_arrays import FLOOR, SceneArrays, set_stage
+from clacad.rendering.scene_hits import background, look, may_cross
 from clacad.rendering.sheet_passage import Between, Passage, plan_passage
 from clacad.scene import Camera, Scene
 from clacad.sheet.face_order import media_of
@@ -57,7 +57,6 @@ def pane_of(
     if not window.uniform:  # traced a block at a time, by `Passage.light`
         return None
     from clacad.rendering.compiled import pixels as kernel
-    from clacad.rendering.compiled.hole_beside_lens import suits
     from clacad.tracing.compiled.packing import pack
 
     numbers, law = np.zeros(kernel.PANE_NUMBERS), window.law
@@ -71,7 +70,7 @@ def pane_of(
     shining = np.zeros(256, dtype=np.uint8)
     shining[list(passage.shining)] = 1
     sheet = pack(lay_out(window))._replace(media=np.array(media_of(window.bodies, lines[0].wavelength)))
-    return kernel.Pane(kind, numbers, opaque, before, sheet, shining, suits(sheet))
+    return kernel.Pane(kind, numbers, opaque, before, sheet, shining)
 
 
 def first_box(window: Window) -> Floats:
@@ -209,13 +208,8 @@ def _lies_between(stage: SceneArrays, passage: Passage, scale: float) -> bool:
     """Whether an object other than a floor reaches between the sheets."""
     low = passage.several[0].sheet.span[1] / scale
     high = passage.several[-1].sheet.span[0] / scale
-    for kind, (_, _, z, radius), turn, size in zip(
-        stage.kind, stage.bound, stage.rotation, stage.size, strict=True
-    ):
-        reach = np.abs(turn[2]) @ size[:3] if kind in (BOX, SCREEN) else radius
-        if kind != FLOOR and z - reach < high and z + reach > low:
-            return True
-    return False
+    limited = stage.kind != FLOOR
+    return bool((limited & (stage.box[:, 0, 2] < high) & (stage.box[:, 1, 2] > low)).any())
 
 
 def sheet_box(window: Window) -> Floats:
@@ -320,13 +314,8 @@ def may_stand_before(stage: SceneArrays, front: float, camera: Camera, box: Floa
     """
     reach = camera.position[1] - 0.5 * camera.aperture, camera.position[1] + 0.5 * camera.aperture
     low, high = min(box[0, 1], reach[0]), max(box[1, 1], reach[1])
-    for kind, bound, origin in zip(stage.kind, stage.bound, stage.origin, strict=True):
-        if kind == FLOOR:
-            if low <= origin[1] <= high:
-                return True
-        elif bound[2] - bound[3] < front:
-            return True
-    return False
+    floor, y = stage.kind == FLOOR, stage.origin[:, 1]
+    return bool(np.where(floor, (low <= y) & (y <= high), stage.box[:, 0, 2] < front).any())
 
 
 def seen(
@@ -342,15 +331,6 @@ def seen(
     start, ray = np.ascontiguousarray(position), np.ascontiguousarray(direction)
     look_all(viewing.tables, start, ray, bound, light, met, np.empty(len(position)))
     return light, met
-
-
-def may_cross(box: Floats, position: Floats, direction: Floats) -> Bools:
-    """Which rays (n,) pass through a box (low, high)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a, b = (box[0] - position) / direction, (box[1] - position) / direction
-        near = np.fmax.reduce(np.fmin(a, b), axis=1)
-        far = np.fmin.reduce(np.fmax(a, b), axis=1)
-    return np.asarray((near <= far * (1.0 + 1e-12)) & (far > 0.0))
 
 
 __all__ = ["Viewing", "background", "radiance", "set_up"]

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from clacad.base.text import bound, mrad_text, plain, shown
 from clacad.checks.check import Origin
 from clacad.exporting.drawing import views
-from clacad.exporting.drawing.notes import allowances, orientation
+from clacad.exporting.drawing.canvas import allowances, orientation
 from clacad.report.rows import FabricationLine, LightRows, fabrication, fabrication_dict
 from clacad.sheet.feasibility import FactRow, describe
 from clacad.sheet.feasibility.as_rows import cells_text

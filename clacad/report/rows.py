@@ -19,7 +19,7 @@ from clacad.base.units import MONOMIALS, POWER, RAISED, millimetres
 from clacad.checks.design_kinds import RADIUS
 from clacad.checks.light_kinds import IMAGE_POINT, LAW_WHITE, SPOT, TEMPERATURE, VIEWED
 from clacad.effects import declared
-from clacad.exporting.drawing.notes import orientation
+from clacad.exporting.drawing.canvas import orientation
 from clacad.sheet.face_order import plates_of
 from clacad.sheet.feasibility import FaceShape
 from clacad.sheet.feasibility.as_rows import cells_text

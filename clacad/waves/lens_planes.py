@@ -21,7 +21,7 @@ import numpy as np
 from clacad.base.polygons import polygon_area
 from clacad.base.types import Floats
 from clacad.storage.errors import LimitRefused
-from clacad.waves.far_field import Complex
+from clacad.waves.exit_pupil import Complex
 
 MOST = 4096
 """Largest number of points along each side of a square grid; a single axis may have MOST² points."""

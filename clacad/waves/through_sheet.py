@@ -39,7 +39,7 @@ from clacad.sheet.window import Window
 from clacad.storage.errors import BadRequest, LimitRefused
 from clacad.tracing.worst_cell import SeenCell, worst_cell
 from clacad.waves import exit_pupil
-from clacad.waves.far_field import FarField, brightest, flatness, marginal, section
+from clacad.waves.exit_pupil import FarField, brightest, flatness, marginal, section
 from clacad.waves.lens_planes import LensPlane, grid_for, propagate, telescope
 from clacad.waves.wave_report import WaveReport
 

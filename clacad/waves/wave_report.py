@@ -14,8 +14,7 @@ from clacad.base.drawn_figure import drawn, inline_svg, no_formula
 from clacad.base.interactive import Tabular, columns_of
 from clacad.base.text import digits, mrad_list, nm_text
 from clacad.base.types import Floats, Pair2
-from clacad.waves.exit_pupil import RaySpread
-from clacad.waves.far_field import FarField, Marginal
+from clacad.waves.exit_pupil import FarField, Marginal, RaySpread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

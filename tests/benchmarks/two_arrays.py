@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import clacad
-from clacad.exporting.drawing.body_outlines import heights, outlines
+from clacad.exporting.drawing.views import heights, outlines
 
 CELLS, PITCH = 5, 3.0
 SCALE, TOP, LEFT = 26.0, 36.0, 120.0

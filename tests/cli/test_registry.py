@@ -13,8 +13,7 @@ from package_source import literals
 
 import clacad.cli
 from clacad.cli import main
-from clacad.cli.arguments import BadUsage, Common, scan
-from clacad.cli.command import GROUPS, commands, find, parameters
+from clacad.cli.command import GROUPS, BadUsage, Common, commands, find, parameters, scan
 
 PACKAGE = Path(__file__).parents[2] / "clacad"
 KNOWN = {one.word: one for one in commands()}

@@ -15,8 +15,8 @@ from trust.running import TINY
 
 from clacad.checks.check import kinds
 from clacad.cli import main
-from clacad.cli.brief import COLUMNS, LINES, Brief, clipped, facts
 from clacad.cli.command import commands
+from clacad.cli.console import COLUMNS, LINES, Brief, clipped, facts
 from clacad.cli.option_values import command_line
 from clacad.cli.tables import counted, problems
 

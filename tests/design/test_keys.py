@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 from package_source import messages, nodes
 
-from clacad.config.keys import KeyPaths, key, keys_of
-from clacad.config.quantities import Quantity
-from clacad.config.value_kinds import Word
+from clacad.config.compound_kinds import KeyPaths, key, keys_of
+from clacad.config.value_kinds import Quantity, Word
 from clacad.design import Design, DesignError, json_schema
 from clacad.design.sections import SECTIONS, SPECS, LightSpec
 from clacad.explain.look_up import explain

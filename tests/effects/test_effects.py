@@ -19,7 +19,7 @@ from clacad import Design, load, prescribe
 from clacad.base.polygons import clip
 from clacad.base.sobol import sobol
 from clacad.effects import NAMES, Setting, light_reaching_camera, trace_with
-from clacad.effects.engine.block import inside_plate
+from clacad.effects.engine.effect import inside_plate
 from clacad.effects.engine.homogeneous_light import overlap
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.probe_rays import cone
@@ -371,7 +371,7 @@ def test_diffraction_vanishes_with_the_wavelength(effect):
 
 
 def test_draws_are_the_same_every_time_and_independent_of_one_another():
-    from clacad.effects.engine.block import normal, uniform
+    from clacad.effects.engine.effect import normal, uniform
 
     rays = bundle("slab")
     a, b = uniform(rays, 2, 0, 1), uniform(rays, 2, 0, 2)

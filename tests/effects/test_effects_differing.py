@@ -14,8 +14,7 @@ from clacad.effects import Setting, light_reaching_camera, plan_effects
 from clacad.effects.engine.camera_light import measure
 from clacad.effects.engine.homogeneous_light import FAINT, orders
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
-from clacad.effects.engine.probe_rays import situation_of_design
-from clacad.effects.engine.stand_ins import with_stand_ins
+from clacad.effects.engine.probe_rays import situation_of_design, with_stand_ins
 from clacad.effects.trace import trace
 from clacad.optics.rays import Fate
 from clacad.sheet.face_order import media_of
@@ -182,7 +181,7 @@ def test_a_plan_is_bounded_on_the_worst_of_cells_tried_and_says_so():
 @pytest.mark.parametrize("kind", ALL)
 def test_what_an_effect_changes_in_the_whole_sheet_is_within_the_bound_of_its_worst_cell(kind):
     from clacad.effects import declared
-    from clacad.effects.engine.stand_ins import worst_bound
+    from clacad.effects.engine.probe_rays import worst_bound
 
     situation = with_stand_ins(replace(situation_of_design(design_of(kind)), setting=SETTING))
     for name in (

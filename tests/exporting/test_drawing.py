@@ -17,8 +17,7 @@ import pytest
 import clacad
 from clacad.exporting.drawing import views
 from clacad.exporting.drawing.canvas import CHARACTER, CircleMark, DimensionMark, LineMark, Words
-from clacad.exporting.drawing.sheet_frame import PAPERS, frame_box
-from clacad.exporting.drawing.sheet_layout import sheets
+from clacad.exporting.drawing.sheet_layout import PAPERS, frame_box, sheets
 from clacad.exporting.run import export
 from clacad.sheet.feasibility import feasibility
 from clacad.storage.errors import FileDisagrees, NotPossible

@@ -38,9 +38,8 @@ OTHER_MEANINGS = {
     "cell-table": {"design/cell_table.py", "design/cell_table_rows.py", "exporting/run.py",
                    "report/pictures.py"},  # the reader of a design's table
     "drawing": {"sheet/representative_cells.py"},  # a purpose of cells
-    "frame": {"exporting/fixtures/frame.py", "rendering/photograph_view.py", "report/pictures.py",
+    "frame": {"exporting/fixtures/frame.py", "rendering/picture.py", "report/pictures.py",
               "scene/sections.py"},  # the key camera.frame, the name of the part
-    "height-calibration": {"exporting/formats/file_kind.py"},  # written by the formats of two modules
     "pins": {"design/model.py"},  # the key body.pins
     "png": {"base/drawn_figure.py", "cli/accuracy_command.py", "cli/option_values.py", "cli/steer_command.py",
             "report/measured_section.py", "report/scan_files.py", "imaging/shape.py",
@@ -51,8 +50,7 @@ OTHER_MEANINGS = {
             "sheet/feasibility/as_rows.py", "checks/design_kinds.py",
             "verification/stability/__init__.py",
             "verification/tolerance/parameter_sweep.py"},  # the height of a lens, its check and its limit
-    "scene": {"cli/export_command.py", "design/sections.py", "scene/model.py", "scene/read.py",
-              "scene/rules.py"},  # scene files
+    "scene": {"cli/export_command.py", "design/sections.py", "scene/model.py", "scene/rules.py"},  # scene files
     "step": {"cli/export_command.py", "exporting/request.py",
              "cli/check_command.py", "cli/new_command.py",  # the command to run next
              "stacking/make_stack.py", "cli/stack_command.py",  # the option --step, a default
@@ -73,7 +71,7 @@ OTHER_MEANINGS = {
 
 TOY = '''"""Dots: the height of each face at the centre of the middle cell."""
 
-from clacad.exporting.formats.file_kind import FileKind, Reading
+from clacad.exporting.formats.format import FileKind, Reading
 from clacad.exporting.formats.format import Forecast, Format
 
 

@@ -148,7 +148,7 @@ MUTATIONS = [
     Mutation("joint: a face of one body only", "clacad/sheet/face_order.py", "if side or not body.joined", "if True", "tests/prescription/test_face_list.py -k nearly_equal_media"),
     Mutation("baffle: channels of the first array in every gap", "clacad/exporting/fixtures/baffle.py", "body.arrays[-1 if side > 0 else 0]", "body.arrays[0]", FIXED),
     Mutation("baffle: sheared from the far face of a plate", "clacad/exporting/fixtures/baffle.py", "(body.back if side > 0 else body.front).vertex[2]", "(body.front if side > 0 else body.back).vertex[2]", FIXED),
-    Mutation("pins: the first gap in every gap", "clacad/exporting/fixtures/pins_and_coupon.py", "zip(pins.heights[3:-1:2], pins.heights[4::2], strict=True)", "[(z1, z2)] * (len(pins.heights) // 2 - 2)", f"{FIXTURES} -k sleeve"),
+    Mutation("pins: the first gap in every gap", "clacad/exporting/fixtures/frame.py", "zip(pins.heights[3:-1:2], pins.heights[4::2], strict=True)", "[(z1, z2)] * (len(pins.heights) // 2 - 2)", f"{FIXTURES} -k sleeve"),
     Mutation("names: media that are exchanged", "clacad/judging/mesh_wholeness.py", "index[said] != index[body]", "index[said] < 0.0", f"{BOUND} -k exchange"),
     Mutation("names: heights of objects as stored", "clacad/judging/mesh_wholeness.py", "z = points @ place[:3] + place[3]", "z = points[..., 2]", f"{BOUND} -k exchange"),
     Mutation("POV: the other sheet of a concave face", "clacad/exporting/pov/pov_solids.py", "if not other or (s.kappa > 0.0 and not concave):", "if True:", SCENES),

@@ -16,8 +16,7 @@ from PIL import Image
 from viewscenes import ROOT
 
 from clacad.paper import paper_figures
-from clacad.paper.figure1 import MeasuredLenses, quadrics, section_findings, solid_findings
-from clacad.paper.figure1_section import section_svg
+from clacad.paper.figure1 import MeasuredLenses, quadrics, section_findings, section_svg, solid_findings
 from clacad.paper.make_atlas import (
     Atlas,
     AtlasRequest,

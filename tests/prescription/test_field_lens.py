@@ -14,7 +14,7 @@ from clacad import Design, DesignError, Fate, Rays, load, prescribe, trace
 from clacad.advice import judge
 from clacad.effects.diffraction import lit_widths
 from clacad.effects.engine.homogeneous_light import orders, shares
-from clacad.exporting.drawing.notes import orientation
+from clacad.exporting.drawing.canvas import orientation
 from clacad.light.confocality import confocality
 from clacad.optics.law import angle_between
 from clacad.optics.sequence import trace_sequence

@@ -14,8 +14,7 @@ from clacad.cli import main
 from clacad.prescription.prescribe import prescribe
 from clacad.rendering import picture_cost
 from clacad.rendering.camera import aim
-from clacad.rendering.photograph_view import EyeRequest, eye_scene
-from clacad.rendering.picture import Picture, view_through
+from clacad.rendering.picture import EyeRequest, Picture, eye_scene, view_through
 from clacad.rendering.picture_cost import BROAD, CoarseView, _again, _broad, _spread, enlarge, view_coarsely
 from clacad.rendering.picture_cost import PIXELS_A_BLOCK as BLOCK
 from clacad.rendering.sheet_passage import plan_passage

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from clacad.design import Design
-from clacad.exporting.drawing.body_outlines import across_cell, heights, outlines
-from clacad.exporting.drawing.notes import orientation
+from clacad.exporting.drawing.canvas import orientation
+from clacad.exporting.drawing.views import across_cell, heights, outlines
 from clacad.light.confocality import confocality
 from clacad.mesh import tessellate
 from clacad.prescription.prescribe import prescribe

@@ -18,7 +18,7 @@ from trust.running import ROOT, TINY, command, environment
 from trust.test_interruptions import HANG, until
 
 from clacad import Design
-from clacad.cli.interrupts import SENTENCE
+from clacad.cli.entry_point import SENTENCE
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from trust.running import environment
 
-from clacad.cli.interrupts import SENTENCE, InterruptHandler
+from clacad.cli.entry_point import SENTENCE, InterruptHandler
 
 HANG = 120.0
 """Seconds after which an interrupted command counts as hung: many times what any takes on a busy machine."""

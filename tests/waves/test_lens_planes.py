@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clacad.waves.far_field import Marginal, marginal
+from clacad.waves.exit_pupil import Marginal, marginal
 from clacad.waves.lens_planes import (
     Emerging,
     Grid,

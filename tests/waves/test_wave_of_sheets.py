@@ -16,8 +16,7 @@ from clacad.sheet.bundle import bundle
 from clacad.storage.errors import BadRequest, LimitRefused
 from clacad.tracing.worst_cell import worst_cell
 from clacad.waves import wave
-from clacad.waves.exit_pupil import far_field, pupil, rays_needed
-from clacad.waves.far_field import brightest, flatness, marginal, section
+from clacad.waves.exit_pupil import brightest, far_field, flatness, marginal, pupil, rays_needed, section
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 TEMPLATES = Path(clacad.__file__).parent / "design" / "templates"

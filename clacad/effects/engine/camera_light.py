@@ -21,8 +21,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Rung
 from clacad.effects import declared_all
-from clacad.effects.engine.block import RayBlock, unit_rows
-from clacad.effects.engine.effect import Declaration, Effect, Setting, Situation
+from clacad.effects.engine.effect import Declaration, Effect, RayBlock, Setting, Situation, unit_rows
 from clacad.effects.engine.homogeneous_light import LightRays, law_light
 from clacad.effects.engine.nonsequential import Rules, trace_nonsequential
 from clacad.effects.engine.passes import blocks, take_rays, trace_with

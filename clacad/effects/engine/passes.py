@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from clacad import effects as registry
 from clacad.base.types import Floats, Rung
 from clacad.effects import declared, declared_all
-from clacad.effects.engine.block import RayBlock, crossings
-from clacad.effects.engine.effect import Effect, Setting, When
+from clacad.effects.engine.effect import Effect, RayBlock, Setting, When, crossings
 from clacad.optics.rays import Rays, TraceResult
 from clacad.sheet.face_order import media_of
 from clacad.sheet.window import Window

@@ -19,8 +19,7 @@ from clacad.base.text import mrad_text
 from clacad.base.types import Rung
 from clacad.effects import declared, declared_all
 from clacad.effects.engine.effect import Bound, Setting, Situation
-from clacad.effects.engine.probe_rays import choose_rung
-from clacad.effects.engine.stand_ins import with_stand_ins, worst_bound
+from clacad.effects.engine.probe_rays import choose_rung, with_stand_ins, worst_bound
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.window import Window
 

@@ -11,8 +11,7 @@ import numpy as np
 from clacad.base.text import mrad_text, percent_text
 from clacad.base.units import POWER, millimetres
 from clacad.design.limit_sections import TolerancesSpec
-from clacad.exporting.drawing.canvas import CHARACTER, Canvas
-from clacad.exporting.drawing.notes import Allowances, orientation
+from clacad.exporting.drawing.canvas import CHARACTER, Allowances, Canvas, orientation
 from clacad.exporting.drawing.views import LENS_FINISH, OTHER_FINISH, mm_text
 from clacad.formats.maps.pose_table import euler_degrees
 from clacad.formats.maps.sag import structured_faces

@@ -3,6 +3,8 @@
 Outlines come from the faces that are traced and written. Every number at a dimension line is measured on them
 or is one of the derived numbers. Lengths are in millimetres; ± is printed where the design's [tolerances]
 specify it.
+
+Outlines of the bodies in a plane y = const, from the same faces that are traced and written.
 """
 
 from __future__ import annotations
@@ -13,22 +15,74 @@ from math import floor, isfinite, log10
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from clacad.base.text import digits
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.base.units import millimetres
-from clacad.exporting.drawing.body_outlines import across_cell, heights, outlines
-from clacad.exporting.drawing.canvas import CHARACTER, Canvas
-from clacad.exporting.drawing.notes import NO_ALLOWANCES, Allowances
+from clacad.exporting.drawing.canvas import CHARACTER, NO_ALLOWANCES, Allowances, Canvas
 from clacad.sheet.feasibility import FaceShape, body_range
 from clacad.sheet.lattice import Circle, Rectangle
 from clacad.sheet.plate import Plate
 from clacad.sheet.representative_cells import central_cell
 from clacad.sheet.volume_and_extent import body_extent, whole_extent
-from clacad.sheet.window import Body, Window
+from clacad.sheet.window import Body, Face, Window, column, face_height
 
 if TYPE_CHECKING:
     from clacad.sheet.feasibility import Feasibility, LensFacts
+
+
+def heights(window: Window, body: Body, x: Floats, y: float) -> tuple[Floats, Floats]:
+    """Front and back height (n,) of a body over sheet points (x, y); NaN where it has no material."""
+    found = []
+    for k, face in enumerate((body.front, body.back)):
+        index, local, inside = _place(window, body, face, x, y)
+        if body.columnar:
+            z = column(window, body, local[0], local[1], index)[k]
+        else:
+            z = face_height(window, face, local[0], local[1], index)
+        beyond = np.nan if face.land is None else face.land
+        found.append(np.where(inside, z, face.vertex[2] if face.array is None else beyond))
+    front, back = found
+    missing = ~(np.isfinite(front) & np.isfinite(back))
+    if isinstance(window.outline, Plate):
+        missing |= ~window.outline.inside(np.stack([x, np.full_like(x, y)], axis=-1))
+    return np.where(missing, np.nan, front), np.where(missing, np.nan, back)
+
+
+def _place(
+    window: Window, body: Body, face: Face, x: Floats, y: float
+) -> tuple[Ints, tuple[Floats, Floats], NDArray[np.bool_]]:
+    """Cells of the face's own array, points in them, and which lie over kept cells."""
+    other = body.back if face is body.front else body.front
+    array = face.array if face.array is not None else other.array
+    index, lx, ly = window.locate(0 if array is None else array, x, np.full_like(x, y))
+    return index, (lx, ly), np.asarray(window.lattice.contains(index))
+
+
+def outlines(x: Floats, front: Floats, back: Floats) -> list[Floats]:
+    """Closed outlines (k, 2) of (x, z), one for each unbroken stretch of material."""
+    solid = np.isfinite(front) & np.isfinite(back) & (back >= front)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], solid, [False]]).astype(np.int8)))
+    found = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        rows = slice(first, last)
+        found.append(
+            np.concatenate(
+                [np.column_stack([x[rows], front[rows]]), np.column_stack([x[rows], back[rows]])[::-1]]
+            )
+        )
+    return found
+
+
+def across_cell(window: Window, array: int) -> tuple[Floats, float]:
+    """Points x (n,) over the cell of an array nearest the middle, along x, and its y; sheet frame."""
+    from clacad.sheet.representative_cells import central_cell
+
+    middle = window.centres(array, np.array(central_cell(window), dtype=np.int64))
+    half = 0.5 * window.lattice_of(array).pitch[0] * (1.0 - 1e-9)
+    return middle[0] + np.linspace(-half, half, 161), float(middle[1])
+
 
 WIDTH = 760.0
 MOST_CELLS = 240
@@ -115,7 +169,7 @@ def assembly(window: Window, paper: OnPaper | None = None, ranges: Sequence[Rang
         _draw_body(canvas, window, body, y, at)
     _assembly_dimensions(canvas, window, at, ranges, (left, left + wide), (top, top + tall))
     canvas.text((6.0, 14), title, "start", "note")
-    canvas.scale_note((6.0, 29), "start")
+    canvas.scale_note((6.0, 29))
     canvas.text((6.0, top + tall + 62), foot, "start", "note")
     return canvas
 
@@ -137,13 +191,13 @@ def _assembly_dimensions(
     canvas.across(left, end, bottom + 30, mm_text((x1 - x0) * mm), (bottom, bottom))
     canvas.upright(top, bottom, end + 62, mm_text((high - low) * mm), (end, end))
     edge = top + min(10.0, 0.5 * float(at(x0, ranges[-1][0])[1] - top))
-    canvas.leader((left, edge), (left - 16.0, edge - 4.0), "")
+    canvas.leader((left, edge), (left - 16.0, edge - 4.0))
     canvas.finish((left - 16.0, edge - 4.0), OTHER_FINISH)
     if len(ranges) > 1:
         for a, b in ranges:
             ya, yb = float(at(x0, b)[1]), float(at(x0, a)[1])
             canvas.upright(ya, yb, end + 16, mm_text((b - a) * mm), (end, end))
-    canvas.leader((left - 22, bottom - min(30.0, bottom - top + 12)), (left - 22, bottom), "")
+    canvas.leader((left - 22, bottom - min(30.0, bottom - top + 12)), (left - 22, bottom))
     canvas.text((left - 22, bottom + 14), "+z", "middle", "note")
 
 
@@ -209,7 +263,7 @@ def plan(window: Window, paper: OnPaper | None = None) -> Canvas:
     canvas.upright(top, bottom, left + wide + 22, mm_text((y1 - y0) * mm), (left + wide, left + wide))
     _inner_dimensions(canvas, window, (x1, y1), (left, top), (left + wide + 22, bottom + 26 + drop))
     below = bottom + 44 + drop + STEP_DOWN * len(across)
-    canvas.scale_note((6, below), "start")
+    canvas.scale_note((6, below))
     for number, words in enumerate(foot, 1):
         canvas.text((6, below + 15.0 * number), words, "start", "note")
     return canvas
@@ -252,7 +306,7 @@ def _axes(canvas: Canvas, middle: tuple[float, float], length: float) -> None:
     """The axes of the sheet at its middle, seen along the light."""
     for (dx, dy), words in (((-length, 0.0), "+x"), ((0.0, -length), "+y")):
         end = (middle[0] + dx, middle[1] + dy)
-        canvas.leader(end, middle, "")
+        canvas.leader(end, middle)
         canvas.text((end[0] - 10 if dx else end[0] + 12, end[1] + 4), words)
     canvas.circle(middle, 5.0, "dim")
 
@@ -423,7 +477,7 @@ def telescopelet(
     if light is not None:
         _focal_plane(canvas, window, light, at, middle)
     canvas.text((6, 14), title, "start", "note")
-    canvas.scale_note((6, 29), "start")
+    canvas.scale_note((6, 29))
     return canvas
 
 
@@ -534,7 +588,7 @@ def lens_detail(
     half = allowed.of_body(place, len(window.bodies))
     _detail_dimensions(canvas, x, (front, back), at, mm, curved, base, half)
     canvas.text((6, 14), f"{lens.name}, on {body.name}" if array < 2 else lens.name, "start", "title")
-    canvas.scale_note((6, 29), "start")
+    canvas.scale_note((6, 29))
     canvas.text((6, base + 56.0), radius, "start")
     canvas.text((6, base + 72.0), conic, "start")
     return canvas
@@ -563,7 +617,7 @@ def _lens_finish(canvas: Canvas, x: Floats, face: Floats, at: Callable[..., Floa
         canvas.finish(tip, LENS_FINISH)
         return
     elbow = (float(at(x[0], 0.0)[0]) - 34.0, tip[1] + 16.0)
-    canvas.leader(tip, elbow, "")
+    canvas.leader(tip, elbow)
     canvas.finish(elbow, LENS_FINISH)
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.file_kind import FileKind
-from clacad.exporting.formats.format import BASE, Forecast, Format
+from clacad.exporting.formats.format import BASE, FileKind, Forecast, Format
 
 if TYPE_CHECKING:
     from clacad.exporting.manifest import FileRecord, Job

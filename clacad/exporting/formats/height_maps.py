@@ -1,6 +1,9 @@
 """Heights of single faces: maps of pixels (TIFF, PNG), the sag grid of a cell, points with normals.
 
 Tables of the surfaces (JSON) and of the poses of all lenslets (CSV).
+
+Masks of structured faces: outlines and places of the lenses (SVG, DXF), and layers of grey levels
+(GDSII).
 """
 
 from __future__ import annotations
@@ -10,23 +13,139 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from clacad.base.units import millimetres
-from clacad.exporting.formats.file_kind import (
+from clacad.exporting.formats.format import (
+    BASE,
     CALIBRATION,
     FileKind,
+    Forecast,
+    Format,
     calibration_record,
     drawn_cost,
     map_kind,
     map_row,
+    own_cells_note,
     structured_cost,
+    structured_count,
 )
-from clacad.exporting.formats.format import BASE, Forecast, Format
-from clacad.exporting.roles import ABOVE_FACE, AT_POINTS, OWN_NUMBERS, SIXTEEN_BITS
+from clacad.exporting.roles import ABOVE_FACE, AT_POINTS, LAYERS, OWN_NUMBERS, SIXTEEN_BITS
 
 if TYPE_CHECKING:
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
     from clacad.exporting.tessellations import Meshes
     from clacad.sheet.window import Window
+    from clacad.storage.worker import Worker
+
+
+MASK, GDS = "mask", "gds"
+MASK_SVG, MASK_DXF = "mask-svg", "mask-dxf"
+"""Words of the files in manifests."""
+
+MASK_SECONDS, GDS_SECONDS = 8.5e-8, 4e-7
+"""Seconds per hundredth of a lenslet, and per box of one cell."""
+
+OWN_SECONDS = 7e-9
+"""Seconds per byte of GDSII for a non-uniform sheet: every box made twice, written and compared."""
+
+
+# -- writing ---------------------------------------------------------------------------------------
+
+
+def _write_mask(job: Job) -> list[FileRecord]:
+    """Two masks a structured face, SVG and DXF."""
+    from clacad.formats.maps.mask import check_mask, masked_faces, write_dxf, write_svg
+
+    records = []
+    for body, face, label in masked_faces(job.window):
+        svg, dxf = (job.stage.path(f"{job.stem}.{label}.mask.{end}") for end in ("svg", "dxf"))
+        write_svg(job.window, body, face, label, svg, job.scale)
+        write_dxf(job.window, body, face, label, dxf, job.scale)
+        check_mask(job.window, face, svg, dxf, job.scale)
+        records += [
+            job.record(path, kind, bodies=[body.name]) for path, kind in ((svg, MASK_SVG), (dxf, MASK_DXF))
+        ]
+    return records
+
+
+def _write_gds(job: Job) -> list[FileRecord]:
+    """One GDSII file a structured face, and one calibration file for them all."""
+    from clacad.formats.maps.gds import check_gds, grey_cell, write_gds
+    from clacad.formats.maps.sag import structured_faces
+
+    records, calibration = [], {}
+    for body, face, label in structured_faces(job.window):
+        cell = grey_cell(job.window, body, face, label, job.request.grey_levels, job.scale)
+        path = job.stage.path(f"{job.stem}.{label}.gds")
+        job.progress(f"write {path.name}", 0.0)
+        placed, counts = write_gds(cell, path, job.scale)
+        calibration[label] = cell.calibration(job.scale, counts)
+        check_gds(cell, path, job.scale)
+        facts = {"mode": "fused" if cell.own else "instanced", "grey_levels": cell.levels, "lenslets": placed}
+        records.append(job.record(path, GDS, unit="um", bodies=[body.name], facts=facts))
+    return [*records, calibration_record(job, GDS, calibration)]
+
+
+# -- requirements ----------------------------------------------------------------------------------
+
+
+def _require_mask(window: Window, _asked: Request, _worker: Worker) -> None:
+    """Require one outline for the lenses of a face."""
+    from clacad.formats.maps.mask import aperture, masked_faces
+
+    if not window.uniform:
+        for body, face, _ in masked_faces(window):
+            aperture(window, body, face)
+
+
+def _require_gds(window: Window, asked: Request, _worker: Worker) -> None:
+    """Require the package that writes GDSII, and levels that its layers distinguish."""
+    from clacad.formats.maps.gds import grey_cell, require_gdstk
+    from clacad.formats.maps.sag import structured_faces
+
+    require_gdstk()
+    for body, face, label in structured_faces(window):
+        grey_cell(window, body, face, label, asked.grey_levels, millimetres(window.unit))
+
+
+# -- cost ------------------------------------------------------------------------------------------
+
+
+def _forecast_mask(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
+    from clacad.formats.maps.mask import masked_faces
+
+    window = meshes.window
+    drawn = 100 * window.lattice.cell_count * len(masked_faces(window))
+    return map_row(MASK, _mask_bytes(window), BASE + MASK_SECONDS * drawn)
+
+
+def _mask_bytes(window: Window) -> int:
+    """Size of the SVG and DXF masks: outlines as they are, cells by their first row."""
+    from clacad.formats.maps.mask import aperture, masked_faces
+    from clacad.sheet.face_order import array_at
+
+    total = 0.0
+    scale = millimetres(window.unit)
+    for body, face, _ in masked_faces(window):
+        outline = (aperture(window, body, face) * scale + 0.0).tolist()
+        total += sum(len(f"{x!r}{y!r}") for x, y in outline) * 2 + 40 * len(outline) + 1400
+        row = window.lattice.row(window.lattice.count[1] // 2)
+        centres = (window.centres(array_at(window, face), row) * scale).tolist()
+        digits = sum(len(f"{x!r}{y!r}") for x, y in centres) / max(1, len(centres))
+        total += window.lattice.cell_count * (2 * digits + 34 + 36)
+    return int(total)
+
+
+def _forecast_gds(meshes: Meshes, _quads: int, asked: Request) -> Forecast:
+    """Forecast the layers; those of a non-uniform sheet are written, and compared, as a stream."""
+    from clacad.formats.maps.gds import gds_bytes
+
+    window = meshes.window
+    size = gds_bytes(window, asked.grey_levels, millimetres(window.unit))
+    seconds = BASE + GDS_SECONDS * (structured_count(window) * 64 * 64)
+    if window.uniform:
+        return map_row(GDS, size, seconds)
+    return map_row(GDS, size, seconds + OWN_SECONDS * size, note=own_cells_note(window))
+
 
 SAG, TIFF, PNG, XYZ, TABLE = "sag", "tiff", "png", "xyz", "table"
 TIFF32, TIFF16, PNG16, GRID, POINTS = "tiff32", "tiff16", "png16", "grid-sag", "xyz-normals"
@@ -48,12 +167,11 @@ TABLE_SECONDS = 4e-8
 
 def _maps(word: str, kinds: Mapping[str, str], job: Job) -> list[FileRecord]:
     """Write every structured face as each kind of raster, and one calibration file for them all."""
-    from clacad.formats.maps.sag import check_map, height_map, samples_per_cell, structured_faces, write_map
+    from clacad.formats.maps.sag import check_map, height_maps, write_map
 
     records, calibration = [], {}
-    per_cell = samples_per_cell(job.window, None)
-    for body, face, label in structured_faces(job.window):
-        map_ = height_map(job.window, body, face, label, per_cell)
+    for map_ in height_maps(job.window):
+        label = map_.label
         calibration[label] = map_.calibration(job.scale)
         for kind, suffix in kinds.items():
             path = job.stage.path(f"{job.stem}.{label}.{suffix}")
@@ -61,7 +179,7 @@ def _maps(word: str, kinds: Mapping[str, str], job: Job) -> list[FileRecord]:
             write_map(map_, path, kind, job.scale)
             check_map(map_, path, kind, job.scale)
             facts = {"float": "f32"} if kind == TIFF32 else {}
-            records.append(job.record(path, kind, bodies=[body.name], facts=facts))
+            records.append(job.record(path, kind, bodies=[map_.body.name], facts=facts))
     return [*records, calibration_record(job, word, calibration)]
 
 
@@ -108,21 +226,17 @@ def _write_table(job: Job) -> list[FileRecord]:
 def _points_a_cell(window: Window) -> int:
     from clacad.formats.maps.sag import samples_per_cell
 
-    return min(16, samples_per_cell(window, None))
+    return min(16, samples_per_cell(window))
 
 
 def _points(window: Window, per_cell: int) -> int:
     """Pixels or points of all faces."""
-    from clacad.formats.maps.sag import structured_faces
-
-    return per_cell * per_cell * window.lattice.cell_count * len(structured_faces(window))
+    return per_cell * per_cell * window.lattice.cell_count * structured_count(window)
 
 
 def _forecast_sag(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     """Forecast the sag grids: 65 x 65 lines of 70 bytes a face."""
-    from clacad.formats.maps.sag import structured_faces
-
-    faces = len(structured_faces(meshes.window))
+    faces = structured_count(meshes.window)
     return map_row(SAG, faces * 70 * 65 * 65, structured_cost(faces))
 
 
@@ -130,16 +244,15 @@ def _forecast_tiff(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     """Forecast both TIFF files of each face: six bytes a pixel."""
     from clacad.formats.maps.sag import samples_per_cell
 
-    pixels = _points(meshes.window, samples_per_cell(meshes.window, None))
+    pixels = _points(meshes.window, samples_per_cell(meshes.window))
     return map_row(TIFF, 6 * pixels, BASE + TIFF_SECONDS * pixels)
 
 
 def _forecast_png(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     from clacad.formats.maps.sag import samples_per_cell
 
-    per_cell = samples_per_cell(meshes.window, None)
-    pixels = _points(meshes.window, per_cell)
-    return map_row(PNG, _png_bytes(meshes.window, per_cell), BASE + PNG_SECONDS * pixels)
+    pixels = _points(meshes.window, samples_per_cell(meshes.window))
+    return map_row(PNG, _png_bytes(meshes.window), BASE + PNG_SECONDS * pixels)
 
 
 def _forecast_xyz(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
@@ -148,17 +261,18 @@ def _forecast_xyz(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     return map_row(XYZ, _xyz_bytes(meshes.window, per_cell), BASE + XYZ_SECONDS * points)
 
 
-def _png_bytes(window: Window, per_cell: int) -> int:
+def _png_bytes(window: Window) -> int:
     """Size of the PNG files: one row of cells of each map, deflated."""
     import zlib
     from dataclasses import replace
 
-    from clacad.formats.maps.sag import height_map, map_levels, structured_faces
+    from clacad.formats.maps.sag import height_maps, map_levels, samples_per_cell
 
     total = 0.0
-    for body, face, label in structured_faces(window):
-        map_ = height_map(window, body, face, label, per_cell)
-        rows = min(map_.height, 8 * per_cell)  # rows of cells repeat: what deflate learns in a few, it knows
+    for map_ in height_maps(window):
+        rows = min(
+            map_.height, 8 * samples_per_cell(window)
+        )  # rows of cells repeat: what deflate learns in a few, it knows
         # in a non-uniform sheet nothing repeats, and the first rows are representative
         strip = replace(map_, height=rows)
         packer = zlib.compressobj(6)
@@ -166,7 +280,7 @@ def _png_bytes(window: Window, per_cell: int) -> int:
             len(packer.compress(map_levels(strip, block).astype(">u2").tobytes())) for block in strip.blocks()
         )
         total += (size + len(packer.flush())) * map_.height / rows + 200
-    return int(total) + 600 * len(structured_faces(window))
+    return int(total) + 600 * structured_count(window)
 
 
 def _xyz_bytes(window: Window, per_cell: int) -> int:
@@ -183,10 +297,8 @@ def _xyz_bytes(window: Window, per_cell: int) -> int:
 
 
 def _forecast_table(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
-    from clacad.formats.maps.sag import structured_faces
-
     window = meshes.window
-    drawn = 100 * window.lattice.cell_count * len(structured_faces(window))
+    drawn = 100 * window.lattice.cell_count * structured_count(window)
     return map_row(TABLE, _table_bytes(window), BASE + TABLE_SECONDS * drawn)
 
 
@@ -257,6 +369,26 @@ FORMATS = (
         drawn_cost(TABLE_SECONDS),
         stored=(OWN_NUMBERS,),
     ),
+    Format(
+        MASK,
+        "map",
+        "outline of the lenses and their places, SVG and DXF",
+        _write_mask,
+        _forecast_mask,
+        drawn_cost(MASK_SECONDS),
+        _require_mask,
+    ),
+    Format(
+        GDS,
+        "map",
+        "grey-level lithography: layers of each face; needs the extra gds",
+        _write_gds,
+        _forecast_gds,
+        drawn_cost(GDS_SECONDS),
+        _require_gds,
+        turned_arrays=False,
+        stored=(LAYERS,),
+    ),
 )
 
 FILES = (
@@ -269,4 +401,7 @@ FILES = (
     map_kind(POSES, ".poses.csv"),
     map_kind(SURFACES, ".surfaces.json"),
     FileKind(CELL_TABLE, "other"),
+    map_kind(MASK_SVG, ".mask.svg"),
+    map_kind(MASK_DXF, ".mask.dxf"),
+    map_kind(GDS, ".gds", native=True),
 )

@@ -15,9 +15,12 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
-from clacad.exporting.formats.file_kind import CALIBRATION, FaceFile, Misfit, Reading, Samples
+from clacad.exporting.formats.format import CALIBRATION, FaceFile, Misfit, Reading, Samples
 from clacad.exporting.formats.height_maps import (
+    GDS,
     GRID,
+    MASK_DXF,
+    MASK_SVG,
     PNG16,
     POINTS,
     POSES,
@@ -25,7 +28,6 @@ from clacad.exporting.formats.height_maps import (
     TIFF16,
     TIFF32,
 )
-from clacad.exporting.formats.masks import GDS, MASK_DXF, MASK_SVG
 from clacad.exporting.formats.registry import longest_wait, reading_worker
 from clacad.exporting.formats.sequential import ZMX
 from clacad.formats.maps.gds import GRID as LAYOUT_GRID

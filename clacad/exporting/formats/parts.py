@@ -12,9 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.exporting.formats import indexed_meshes, step, stl
-from clacad.exporting.formats.file_kind import FileKind
-from clacad.exporting.formats.format import Forecast, Format
+from clacad.exporting.formats import indexed_meshes, step
+from clacad.exporting.formats.format import FileKind, Forecast, Format
 from clacad.exporting.roles import AS_PLAIN, EXACT_FACES
 from clacad.storage.errors import FileDisagrees, LimitRefused
 
@@ -71,7 +70,9 @@ def _baffle_record(job: Job, baffle: BaffleMesh) -> FileRecord:
         "float": "f32",
         "mode": "fused",
     }
-    return job.record(path, stl.KIND, bodies=[baffle.name], facts=facts, checks=("closed", "volume"))
+    return job.record(
+        path, indexed_meshes.STL_BINARY, bodies=[baffle.name], facts=facts, checks=("closed", "volume")
+    )
 
 
 def refuse_many(window: Window, what: str) -> None:
@@ -203,7 +204,7 @@ def _require_frame(window: Window, _asked: Request, worker: Worker) -> None:
 
 def _require_pins(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require plates with pin holes, gaps, and land for the shoulders."""
-    from clacad.exporting.fixtures.pins_and_coupon import pin_spec
+    from clacad.exporting.fixtures.frame import pin_spec
 
     pin_spec(window)
 
@@ -229,7 +230,7 @@ def _require_brep(window: Window, _asked: Request, _worker: Worker) -> None:
 
 def _require_coupon(window: Window, _asked: Request, _worker: Worker) -> None:
     """Require a patch of a few cells that is a solid."""
-    from clacad.exporting.fixtures.pins_and_coupon import PATCH_CELLS
+    from clacad.exporting.fixtures.frame import PATCH_CELLS
 
     _require_solids(window.with_cells(PATCH_CELLS), COUPON)
 
@@ -267,7 +268,7 @@ def _forecast_baffle(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     honeycombs = max(1, len(plates_of(window.bodies)) - 1)
     sides = 8 if any(place.turn for place in window.placements) else 6  # triangles of a side of a cell
     facets = sides * len(window.lattice.steps) * window.lattice.cell_count * honeycombs
-    return stl.stream_row(BAFFLE, facets, honeycombs, None, exact=False)
+    return indexed_meshes.stream_row(BAFFLE, facets, honeycombs, None, exact=False)
 
 
 def _solid_row(word: str, size: int | None, meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
@@ -308,7 +309,7 @@ def _write_marked_stl(job: Job) -> list[FileRecord]:
         (f"{made.stem}.{body.name}.marked.stl", replace(made.window, bodies=(body,)))
         for body in made.window.bodies
     ]
-    return [with_marks(stl.write_one(made, name, window), made) for name, window in parts]
+    return [with_marks(indexed_meshes.write_one(made, name, window), made) for name, window in parts]
 
 
 def _write_marked_threemf(job: Job) -> list[FileRecord]:
@@ -321,7 +322,9 @@ def _write_marked_threemf(job: Job) -> list[FileRecord]:
 
 def _forecast_marked_stl(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
     files = len(meshes.window.bodies)
-    return _with_letters(meshes, stl.stream_row(MARKED_STL, meshes.facets(quads), files, quads, exact=False))
+    return _with_letters(
+        meshes, indexed_meshes.stream_row(MARKED_STL, meshes.facets(quads), files, quads, exact=False)
+    )
 
 
 def _forecast_marked_threemf(meshes: Meshes, quads: int, _asked: Request) -> Forecast:
@@ -392,7 +395,7 @@ FORMATS = (
         "facets with name and arrow in the border, one binary STL file a body",
         _write_marked_stl,
         _forecast_marked_stl,
-        stl.rough_seconds,
+        indexed_meshes.rough_seconds,
         require_marks,
         whole_sheet=False,
         stored=(AS_PLAIN,),

@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.file_kind import FileKind, map_row, structured_cost
-from clacad.exporting.formats.format import Forecast, Format
+from clacad.exporting.formats.format import (
+    FileKind,
+    Forecast,
+    Format,
+    map_row,
+    structured_cost,
+    structured_count,
+)
 from clacad.exporting.roles import OWN_NUMBERS
 
 if TYPE_CHECKING:
@@ -30,10 +36,9 @@ def _write(job: Job) -> list[FileRecord]:
 
 
 def _forecast(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
-    from clacad.formats.maps.sag import structured_faces
 
     window = meshes.window
-    return map_row(WORD, _bytes(window), structured_cost(len(structured_faces(window))), note=_note(window))
+    return map_row(WORD, _bytes(window), structured_cost(structured_count(window)), note=_note(window))
 
 
 def _bytes(window: Window) -> int:

@@ -16,17 +16,14 @@ from clacad.storage.errors import UnknownFormat
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from clacad.exporting.formats.file_kind import FileKind
-    from clacad.exporting.formats.format import Format
+    from clacad.exporting.formats.format import FileKind, Format
     from clacad.storage.reading import Spending
     from clacad.storage.worker import Worker
 
 MODULES = (
     "step",
-    "stl",
     "indexed_meshes",
     "height_maps",
-    "masks",
     "pov",
     "parts",
     "sequential",

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from clacad.exporting.formats.file_kind import FileKind
-from clacad.exporting.formats.format import BASE, Forecast, Format
+from clacad.exporting.formats.format import BASE, FileKind, Forecast, Format
 from clacad.exporting.roles import ONE_TELESCOPELET
 
 if TYPE_CHECKING:
@@ -28,8 +27,7 @@ ZMX_SECONDS, OPTILAND_SECONDS = BASE + 0.03, BASE + 6.0
 
 
 def _write_zmx(job: Job) -> list[FileRecord]:
-    from clacad.formats.sequential.stations import left_out
-    from clacad.formats.sequential.zmx import check_zmx, write_zmx
+    from clacad.formats.sequential.zmx import check_zmx, left_out, write_zmx
 
     path = job.stage.path(f"{job.stem}.zmx")
     write_zmx(job.window, path)

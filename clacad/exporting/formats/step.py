@@ -6,8 +6,14 @@ from dataclasses import replace
 from math import ceil, log10
 from typing import TYPE_CHECKING, Literal
 
-from clacad.exporting.formats.file_kind import FileKind
-from clacad.exporting.formats.format import ChosenMesh, Forecast, Format, about_number, own_cells_note
+from clacad.exporting.formats.format import (
+    ChosenMesh,
+    FileKind,
+    Forecast,
+    Format,
+    about_number,
+    own_cells_note,
+)
 from clacad.exporting.roles import EXACT_FACES
 
 if TYPE_CHECKING:

@@ -10,8 +10,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from clacad.exporting.formats.file_kind import FaceFile, FileKind, Misfit, Reading, drawn_cost, map_row
-from clacad.exporting.formats.format import BASE, Forecast, Format, stream_bytes
+from clacad.exporting.formats.format import (
+    BASE,
+    FaceFile,
+    FileKind,
+    Forecast,
+    Format,
+    Misfit,
+    Reading,
+    drawn_cost,
+    map_row,
+    stream_bytes,
+    structured_count,
+)
 from clacad.exporting.roles import AT_POINTS, EXACT_FACES, NO_SURFACE, SIXTEEN_BITS
 
 if TYPE_CHECKING:
@@ -66,10 +77,10 @@ def _write_insert(job: Job) -> list[FileRecord]:
 
 def _insert_files(job: Job, steel: Window, label: str) -> Iterator[FileRecord]:
     from clacad.exporting.formats.height_maps import TIFF32
-    from clacad.exporting.formats.stl import write_one
+    from clacad.exporting.formats.indexed_meshes import write_one
     from clacad.exporting.step_record import step_record
     from clacad.exporting.tessellations import Tessellation
-    from clacad.formats.maps.sag import check_map, height_map, samples_per_cell, write_map
+    from clacad.formats.maps.sag import check_map, height_map, write_map
 
     body, stem = steel.bodies[0], f"{job.stem}.{label}.insert"
     own = replace(job, window=steel, stem=stem, tessellation=Tessellation(steel, _insert_quads(steel)))
@@ -77,7 +88,7 @@ def _insert_files(job: Job, steel: Window, label: str) -> Iterator[FileRecord]:
     if body.back.form is None:  # heights alone hold the forms of a correction
         yield replace(step_record(own, INSERT_STEP), bodies=kept)
         yield replace(write_one(own, f"{stem}.stl", steel), format=INSERT_STL, bodies=kept)
-    map_ = height_map(steel, body, body.back, label, samples_per_cell(steel, None))
+    map_ = height_map(steel, body, body.back, label)
     path = job.stage.path(f"{stem}.f32.tiff")
     write_map(map_, path, TIFF32, job.scale)
     check_map(map_, path, TIFF32, job.scale)
@@ -166,12 +177,12 @@ def _require_insert(window: Window, _asked: Request, _worker: Worker) -> None:
 
 def _forecast_insert(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
     from clacad.exporting.formats.step import step_bytes
-    from clacad.formats.maps.sag import samples_per_cell, structured_faces
+    from clacad.formats.maps.sag import samples_per_cell
     from clacad.formats.step.part21 import chosen_mode
 
     window, quads = meshes.window, _insert_quads(meshes.window)
-    cells, faces = window.lattice.cell_count, len(structured_faces(window))
-    pixels = samples_per_cell(window, None) ** 2 * cells
+    cells, faces = window.lattice.cell_count, structured_count(window)
+    pixels = samples_per_cell(window) ** 2 * cells
     step = step_bytes(window, chosen_mode(window, "auto"))
     size = step + faces * (stream_bytes(2 * quads * quads * cells) + 4 * pixels)
     return map_row(INSERT, size, BASE + INSERT_SECONDS * faces + 1.2e-6 * step, 500_000_000)
@@ -333,20 +344,20 @@ def _calibration(asked: Request, deepest: float) -> Calibration:
 def _write_dose(job: Job) -> list[FileRecord]:
     """Write the levels of every structured face as PNG and BMP of 8 bits and PNG of 16 bits."""
     from clacad.formats.maps.dose import DoseMap
-    from clacad.formats.maps.sag import height_map, samples_per_cell, structured_faces
+    from clacad.formats.maps.sag import height_maps
     from clacad.storage.atomic import canonical_json
 
     records: list[FileRecord] = []
     table: dict[str, Any] = {}
-    for body, face, label in structured_faces(job.window):
-        map_ = height_map(job.window, body, face, label, samples_per_cell(job.window, None))
+    for map_ in height_maps(job.window):
+        label = map_.label
         depth = (map_.high - map_.low) * job.window.unit
         dose = DoseMap(map_, _calibration(job.request, depth))
         for kind, ending in DOSE_ENDINGS.items():
             path = job.stage.path(f"{job.stem}.{label}.{ending}")
             job.progress(f"write {path.name}", 0.0)
             facts = {"face": label, "calibration": dose.calibration.name, **dose.write(path)}
-            records.append(job.record(path, kind, unit="level", bodies=[body.name], facts=facts))
+            records.append(job.record(path, kind, unit="level", bodies=[map_.body.name], facts=facts))
         table[label] = dose.to_dict(job.scale)
     path = job.stage.path(f"{job.stem}.dose.json")
     path.write_text(canonical_json({"format": 1, "faces": table}), encoding="utf-8", newline="\n")
@@ -355,28 +366,27 @@ def _write_dose(job: Job) -> list[FileRecord]:
 
 def _require_dose(window: Window, asked: Request, _worker: Worker) -> None:
     """Require a calibration that can be read and covers the depths of all faces."""
-    from clacad.formats.maps.sag import height_map, samples_per_cell, structured_faces
+    from clacad.formats.maps.sag import height_maps
     from clacad.storage.errors import BadRequest
 
     if asked.calibration is None:
         return
-    for body, face, label in structured_faces(window):
-        map_ = height_map(window, body, face, label, samples_per_cell(window, None))
+    for map_ in height_maps(window):
         depth = (map_.high - map_.low) * window.unit
         found = _calibration(asked, depth)
         deepest = float(found.depths[-1])
         if not (found.depths[0] <= 0.0 and depth <= deepest):
             raise BadRequest(
-                f"dose: {label} is {1e6 * depth:.6g} um deep; {found.name} covers"
+                f"dose: {map_.label} is {1e6 * depth:.6g} um deep; {found.name} covers"
                 f" {1e6 * found.depths[0]:.6g} to {1e6 * deepest:.6g} um"
             )
 
 
 def _forecast_dose(meshes: Meshes, _quads: int, _asked: Request) -> Forecast:
-    from clacad.formats.maps.sag import samples_per_cell, structured_faces
+    from clacad.formats.maps.sag import samples_per_cell
 
-    window, faces = meshes.window, len(structured_faces(meshes.window))
-    pixels = samples_per_cell(window, None) ** 2 * window.lattice.cell_count * faces
+    window, faces = meshes.window, structured_count(meshes.window)
+    pixels = samples_per_cell(window) ** 2 * window.lattice.cell_count * faces
     return map_row(DOSE, int(1.6 * pixels) + 4000 * faces, BASE + DOSE_SECONDS * pixels)
 
 

@@ -17,8 +17,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.vectors import picture_axes
-from clacad.exporting.pov.pov_cells import NotForPov, colour, matrix, number, vector
-from clacad.exporting.pov.pov_solids import refuse, sheet_lines
+from clacad.exporting.pov.pov_solids import NotForPov, colour, matrix, number, refuse, sheet_lines, vector
 from clacad.scene import chess_knight
 from clacad.scene.chess_knight import turned
 from clacad.sheet.stack import Stack, StackedSheet

@@ -149,19 +149,26 @@ def structured_faces(window: Window) -> list[tuple[Body, Face, str]]:
     return found
 
 
-def samples_per_cell(window: Window, asked: int | None, most: int = MOST_SAMPLES) -> int:
-    """Pixels per pitch: as requested, else the number that keeps a map under `most`, between 4 and 64."""
-    if asked is not None:
-        return asked
-    return int(min(64, max(4, sqrt(most / max(1, window.lattice.cell_count)))))
+def samples_per_cell(window: Window) -> int:
+    """Pixels per pitch: the number that keeps a map under `MOST_SAMPLES`, between 4 and 64."""
+    return int(min(64, max(4, sqrt(MOST_SAMPLES / max(1, window.lattice.cell_count)))))
 
 
-def height_map(window: Window, body: Body, face: Face, label: str, per_cell: int) -> HeightMap:
+def height_maps(window: Window) -> Iterator[HeightMap]:
+    """Maps of all structured faces as exports write them. Raises FileDisagrees: As `height_map`."""
+    for body, face, label in structured_faces(window):
+        yield height_map(window, body, face, label)
+
+
+def height_map(window: Window, body: Body, face: Face, label: str, per_cell: int | None = None) -> HeightMap:
     """Lay out the map of a face and find its range of heights.
+
+    per_cell : Pixels per pitch; None: `samples_per_cell`.
 
     Raises FileDisagrees: The face is undercut: its graph ends inside the optical zone and there is no land
         below.
     """
+    per_cell = samples_per_cell(window) if per_cell is None else per_cell
     plain = plain_map(window, body, face, label, per_cell)
     alike = body.front.change is None and body.back.change is None
     low, high = range_of_cell(window, body, face, per_cell) if alike else _range_of_pixels(plain)

@@ -30,7 +30,6 @@ height is at most 6 ulp of the sum of the sizes of all terms.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 from math import inf, isfinite
 from typing import Any, TypeVar, cast
 
@@ -398,11 +397,6 @@ def lateral_square(surface: Surface, x: Floats, y: Floats) -> Floats:
 
 def slope_terms(surface: Surface) -> tuple[Pair, Pair]:
     """(a, b) of the radicand 1 − a x² − b y², as pairs: κ cx, κ cy or (1 + K_x) cx², (1 + K_y) cy²."""
-    return _terms(surface) if isinstance(surface.curvature_y, float) else _terms.__wrapped__(surface)
-
-
-@lru_cache(maxsize=64)
-def _terms(surface: Surface) -> tuple[Pair, Pair]:
     cx, cy = surface.curvature_x, surface.curvature_y
     if isinstance(surface, Quadric):
         return two_product(surface.kappa, cx), two_product(surface.kappa, cy)

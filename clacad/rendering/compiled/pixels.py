@@ -16,29 +16,11 @@ from clacad.base.compiled import exact, making, mixed, owning
 from clacad.base.hashing import GOLDEN
 from clacad.base.types import Floats, Ints, Words
 from clacad.optics.rays import Fate
-from clacad.rendering.compiled.hole_beside_lens import DIRECT, STRAYED, UNDECIDED, pass_quick
 from clacad.rendering.compiled.scene_hits import Pad, look_block, new_pad
 from clacad.rendering.scene_arrays import BLOCK, Tables
+from clacad.tracing.compiled import block as ray_block
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.block import (
-    CI,
-    CI0,
-    CJ,
-    CJ0,
-    DX,
-    DY,
-    DZ,
-    GOOD,
-    GX,
-    GY,
-    PATH,
-    SCRATCH,
-    X,
-    Z,
-    centres,
-    lane,
-    lanes,
-)
+from clacad.tracing.compiled.block import centres, lane, lanes
 from clacad.tracing.compiled.launch import launch_block, launch_ray
 from clacad.tracing.compiled.packing import Packed
 from clacad.tracing.compiled.records import Outcome, Scratch, new_scratch
@@ -48,7 +30,7 @@ from clacad.tracing.compiled.walk import walk_ray
 BESIDE, BLACK, SHINES, BEFORE = range(4)
 """States of a ray: outside the sheet, without light, goes on behind the sheet, met an object before it."""
 
-ALIVE, GHOST, LAND, MISSED = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.LAND), int(Fate.MISSED)
+ALIVE, GHOST, MISSED = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED)
 
 NO_SHEET, LAW, SURFACES = range(3)
 
@@ -80,7 +62,6 @@ class Pane(NamedTuple):
     opaque, before : Whether nothing is visible outside the sheet; whether an object may be before it.
     sheet : SURFACES: the sheet that is traced.
     shining : (256,) bytes. Fates of rays that bring light.
-    quick : Whether `hole_beside_lens` suits the sheet.
     """
 
     kind: int
@@ -89,7 +70,6 @@ class Pane(NamedTuple):
     before: bool
     sheet: Packed
     shining: NDArray[np.uint8]
-    quick: bool
 
 
 MATRIX, AXIS, EDGES, SCALE, FRONT, PANE_NUMBERS = 0, 9, 12, 19, 20, 21
@@ -126,7 +106,7 @@ def new_walk() -> Walk:
         np.empty((0, 0, 3)),
     )
     return Walk(
-        np.zeros((SCRATCH, BLOCK)),
+        np.zeros((ray_block.SCRATCH, BLOCK)),
         np.empty(BLOCK),
         np.arange(BLOCK),
         np.empty((1, 3)),
@@ -270,17 +250,17 @@ def _surfaces(pane: Pane, m: int, pad: Pad, walk: Walk, state: Ints) -> None:
         return
     scale = pane.numbers[SCALE]
     for c in range(3):
-        place, way, start, along = s[X + c], s[DX + c], ray[c], ray[3 + c]
+        place, way, start, along = s[ray_block.X + c], s[ray_block.DX + c], ray[c], ray[3 + c]
         for i in range(m):
             place[i], way[i] = start[i] * scale, along[i]
     sheet, none = pane.sheet, walk.out.hits
     lattice, bodies, last = sheet.lattice, sheet.bodies, len(sheet.faces) - 1
     launch_block(lattice, bodies[0], s, m)
     for i in range(m):
-        walk.carried[i] = s[PATH, i]
+        walk.carried[i] = s[ray_block.PATH, i]
     array = straight(None, sheet, s, walk.chosen[:m], none, none, walk.carried, -1)
     face = sheet.faces[last]
-    centres(lattice, s, m, array, lane(s, GX), lane(s, GY), face[slot.VX], face[slot.VY])
+    centres(lattice, s, m, array, lane(s, ray_block.GX), lane(s, ray_block.GY), face[slot.VX], face[slot.VY])
     top = bodies[len(bodies) - 1, slot.LEVEL] + face[slot.VZ]
     _collect(pane.shining, scale, top, m, s, ray, near, state)
     for i in range(m):
@@ -302,8 +282,17 @@ def _collect(
     """Collect the rays behind the sheet whose straight trace holds; their mark `near` becomes 2."""
     direct, ghost = SHINES if shining[ALIVE] else BLACK, SHINES if shining[GHOST] else BLACK
     x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
-    px, py, pz, dx, dy, dz, good = lanes(s, (GX, GY, Z, DX, DY, DZ, GOOD))
-    ci, cj, ci0, cj0, mark, out = lane(s, CI), lane(s, CJ), lane(s, CI0), lane(s, CJ0), near[:m], state[:m]
+    px, py, pz, dx, dy, dz, good = lanes(
+        s, (ray_block.GX, ray_block.GY, ray_block.Z, ray_block.DX, ray_block.DY, ray_block.DZ, ray_block.GOOD)
+    )
+    ci, cj, ci0, cj0, mark, out = (
+        lane(s, ray_block.CI),
+        lane(s, ray_block.CJ),
+        lane(s, ray_block.CI0),
+        lane(s, ray_block.CJ0),
+        near[:m],
+        state[:m],
+    )
     inverse = 1.0 / scale
     for i in range(m):
         through = (mark[i] > 0.0) & (good[i] > 0.0) & (dz[i] > 0.0)
@@ -330,12 +319,7 @@ def _walked(pane: Pane, scale: float, walk: Walk, ray: Floats, i: int) -> int:
         position[0, c], direction[0, c] = start[0, c], way[0, c]
     out.fate[0] = MISSED
     reaches, launched = launch_ray(pane.sheet, start, way, 0)
-    told = UNDECIDED
-    if reaches and pane.quick:
-        told = pass_quick(pane.sheet, launched, position, direction)
-        out.fate[0] = ALIVE if told == DIRECT else (GHOST if told == STRAYED else LAND)
-    if reaches and told == UNDECIDED:
-        out.fate[0] = MISSED
+    if reaches:
         walk_ray(None, None, pane.sheet, launched, 0, out, walk.scratch)
     fate = out.fate[0]
     if fate == MISSED:

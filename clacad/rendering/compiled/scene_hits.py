@@ -7,6 +7,11 @@ the given direction. Imported inside functions only.
 The light of objects that rays meet, compiled: the twin of `rendering.scene_hits`' paints.
 
 Formulas and their order are identical, one ray at a time, so that both paths agree to the last bits.
+
+Distances to primitives, compiled: a block of rays in a primitive's own frame, one plain loop a shape.
+
+The twin of `rendering.scene_hits`' shapes. Distances are in lengths of the given direction; NaN or ∞ where a
+ray misses.
 """
 
 from __future__ import annotations
@@ -19,55 +24,194 @@ from numpy.typing import NDArray
 
 from clacad.base.compiled import exact, inlined, making, owning
 from clacad.base.types import Floats, Ints
-from clacad.rendering.compiled.primitives import distances, to_frame
-from clacad.rendering.scene_arrays import (
-    AMBIENT,
-    BLOCK,
-    BOUND,
-    BOX,
-    CENTRE,
-    CHECKER,
-    COLOUR,
-    COLUMNS,
-    CONE,
-    COORDINATES,
-    END,
-    EXTENT,
-    FIRST,
-    FLOOR,
-    GROUND,
-    HORIZON,
-    IMAGE,
-    KEY,
-    KIND,
-    LIT,
-    MESH,
-    ORIGIN,
-    PAINT,
-    PAST,
-    PATTERN,
-    PIECE,
-    PRISM,
-    ROWS,
-    SIZE,
-    SPHERE,
-    STRIPES,
-    TOWARDS_LIGHT,
-    TURN,
-    ZENITH,
-    Tables,
-)
+from clacad.rendering import scene_arrays as slot
+from clacad.rendering.scene_arrays import Tables
 from clacad.tracing.compiled.records import DEPTH, Ray
 from clacad.tracing.facets.compiled_hierarchy import nearest, normal_of
+
+
+@exact
+def to_frame(prim: Floats, k: int, m: int, ray: Floats, local: Floats) -> None:
+    """Starts and directions (6, m) of rays in the frame of primitive k."""
+    x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
+    lx, ly, lz, ru, rv, rw = (
+        local[0, :m],
+        local[1, :m],
+        local[2, :m],
+        local[3, :m],
+        local[4, :m],
+        local[5, :m],
+    )
+    ox, oy, oz = prim[k, slot.ORIGIN], prim[k, slot.ORIGIN + 1], prim[k, slot.ORIGIN + 2]
+    a, b, c = prim[k, slot.TURN], prim[k, slot.TURN + 1], prim[k, slot.TURN + 2]
+    d, e, f = prim[k, slot.TURN + 3], prim[k, slot.TURN + 4], prim[k, slot.TURN + 5]
+    g, h, q = prim[k, slot.TURN + 6], prim[k, slot.TURN + 7], prim[k, slot.TURN + 8]
+    if a == 1.0 and e == 1.0 and q == 1.0:  # of a rotation: none
+        for i in range(m):
+            lx[i], ly[i], lz[i] = x[i] - ox, y[i] - oy, z[i] - oz
+        for i in range(m):
+            ru[i], rv[i], rw[i] = u[i], v[i], w[i]
+        return
+    for i in range(m):
+        px, py, pz = x[i] - ox, y[i] - oy, z[i] - oz
+        lx[i], ly[i], lz[i] = px * a + py * d + pz * g, px * b + py * e + pz * h, px * c + py * f + pz * q
+    for i in range(m):
+        p, r, s = u[i], v[i], w[i]
+        ru[i], rv[i], rw[i] = p * a + r * d + s * g, p * b + r * e + s * h, p * c + r * f + s * q
+
+
+@exact
+def distances(prim: Floats, store: Floats, k: int, m: int, local: Floats, out: Floats, work: Floats) -> None:
+    """Write the distance (m,) to primitive k, which is no mesh; `work` (2, m) is scratch."""
+    kind, a, b, c = prim[k, slot.KIND], prim[k, slot.SIZE], prim[k, slot.SIZE + 1], prim[k, slot.SIZE + 2]
+    if kind == slot.SPHERE:
+        _sphere(m, local, a, out)
+    elif kind == slot.BOX:
+        _box(m, local, a, b, c, out)
+    elif kind == slot.CONE:
+        _cone(m, local, a, b, c, out)
+    elif kind == slot.PRISM:
+        _prism(store, int(prim[k, slot.PIECE]), int(prim[k, slot.END]), m, local, a, out, work)
+    else:
+        _screen(m, local, a, b, out)
+
+
+@exact
+def _sphere(m: int, local: Floats, radius: float, out: Floats) -> None:
+    """Nearer hit above 0 of a sphere about the origin."""
+    x, y, z, u, v, w = local[0, :m], local[1, :m], local[2, :m], local[3, :m], local[4, :m], local[5, :m]
+    for i in range(m):
+        inverse = 1.0 / (u[i] * u[i] + v[i] * v[i] + w[i] * w[i])
+        middle = -(x[i] * u[i] + y[i] * v[i] + z[i] * w[i]) * inverse
+        px, py, pz = x[i] + middle * u[i], y[i] + middle * v[i], z[i] + middle * w[i]
+        half = math.sqrt((radius * radius - (px * px + py * py + pz * pz)) * inverse)
+        near = middle - half
+        out[i] = near if near > 0.0 else middle + half
+
+
+@exact
+def _span(p: float, d: float, half: float) -> tuple[float, float]:
+    """Distances at which a ray enters and leaves a slab; all or nothing for a ray parallel to it."""
+    inverse = 1.0 / d
+    a, b = (-half - p) * inverse, (half - p) * inverse
+    outside = abs(p) > half
+    near, far = (a, b) if a < b else (b, a)
+    along = d == 0.0
+    near = (np.inf if outside else -np.inf) if along else near
+    far = (-np.inf if outside else np.inf) if along else far
+    return near, far
+
+
+@exact
+def _box(m: int, local: Floats, hx: float, hy: float, hz: float, out: Floats) -> None:
+    """Nearer hit above 0 of a box about the origin."""
+    x, y, z, u, v, w = local[0, :m], local[1, :m], local[2, :m], local[3, :m], local[4, :m], local[5, :m]
+    for i in range(m):
+        a, b = _span(x[i], u[i], hx)
+        c, d = _span(y[i], v[i], hy)
+        e, f = _span(z[i], w[i], hz)
+        near = a if a > c else c
+        near = near if near > e else e
+        far = b if b < d else d
+        far = far if far < f else f
+        hit = near if near > 0.0 else far
+        out[i] = hit if near <= far else np.nan
+
+
+@exact
+def _screen(m: int, local: Floats, hx: float, hy: float, out: Floats) -> None:
+    """Hit of a rectangle in the plane z = 0."""
+    x, y, z, u, v, w = local[0, :m], local[1, :m], local[2, :m], local[3, :m], local[4, :m], local[5, :m]
+    for i in range(m):
+        s = -z[i] / w[i]
+        inside = (abs(x[i] + s * u[i]) <= hx) & (abs(y[i] + s * v[i]) <= hy)
+        out[i] = s if inside else np.nan
+
+
+@exact
+def _cone(m: int, local: Floats, bottom: float, top: float, height: float, out: Floats) -> None:
+    """Nearest hit above 0 of a closed frustum with axis y."""
+    x, y, z, u, v, w = local[0, :m], local[1, :m], local[2, :m], local[3, :m], local[4, :m], local[5, :m]
+    slope = (top - bottom) / height
+    for i in range(m):
+        middle = -(x[i] * u[i] + y[i] * v[i] + z[i] * w[i]) / (u[i] * u[i] + v[i] * v[i] + w[i] * w[i])
+        px, py, pz = x[i] + middle * u[i], y[i] + middle * v[i], z[i] + middle * w[i]
+        r = bottom + slope * py
+        a = u[i] * u[i] + w[i] * w[i] - slope * slope * v[i] * v[i]
+        b = px * u[i] + pz * w[i] - slope * v[i] * r
+        c = px * px + pz * pz - r * r
+        root = math.sqrt(b * b - a * c)
+        q = -(b + (root if b >= 0.0 else -root))
+        best = np.inf
+        s = q / a
+        at = py + s * v[i]
+        good = (s + middle > 0.0) & (at >= 0.0) & (at <= height) & (bottom + slope * at >= 0.0)
+        best = s + middle if good else best
+        s = c / q
+        at = py + s * v[i]
+        good = (s + middle > 0.0) & (at >= 0.0) & (at <= height) & (bottom + slope * at >= 0.0)
+        best = s + middle if good & (s + middle < best) else best
+        s = -py / v[i]
+        cx, cz = px + s * u[i], pz + s * w[i]
+        good = (s + middle > 0.0) & (cx * cx + cz * cz <= bottom * bottom)
+        best = s + middle if good & (s + middle < best) else best
+        s = (height - py) / v[i]
+        cx, cz = px + s * u[i], pz + s * w[i]
+        good = (s + middle > 0.0) & (cx * cx + cz * cz <= top * top)
+        out[i] = s + middle if good & (s + middle < best) else best
+
+
+@exact
+def _prism(
+    store: Floats, first: int, end: int, m: int, local: Floats, half: float, out: Floats, work: Floats
+) -> None:
+    """Nearest hit above 0 of an extruded outline between z = −half and half."""
+    x, y, z, u, v, w = local[0, :m], local[1, :m], local[2, :m], local[3, :m], local[4, :m], local[5, :m]
+    best, level, odd = out[:m], work[0, :m], work[1, :m]
+    for i in range(m):
+        best[i] = np.inf
+    for k in range(2):
+        cap = half if k else -half
+        for i in range(m):
+            level[i], odd[i] = (cap - z[i]) / w[i], -1.0
+        for n in range(first, end, 2):  # crossings of the outline to the right, counted by sign
+            j = n + 2 if n + 2 < end else first
+            x0, y0, x1, y1 = store[n], store[n + 1], store[j], store[j + 1]
+            if y0 == y1:
+                continue
+            run = (x1 - x0) / (y1 - y0)
+            for i in range(m):
+                px, py = x[i] + level[i] * u[i], y[i] + level[i] * v[i]
+                crosses = ((y0 > py) != (y1 > py)) & (px < run * (py - y0) + x0)
+                odd[i] = -odd[i] if crosses else odd[i]
+        for i in range(m):
+            better = (odd[i] > 0.0) & (level[i] > 0.0) & (level[i] < best[i])
+            best[i] = level[i] if better else best[i]
+    for n in range(first, end, 2):
+        j = n + 2 if n + 2 < end else first
+        x0, y0, x1, y1 = store[n], store[n + 1], store[j], store[j + 1]
+        nx, ny = y1 - y0, x0 - x1
+        square = nx * nx + ny * ny
+        for i in range(m):
+            s = (nx * (x0 - x[i]) + ny * (y0 - y[i])) / (nx * u[i] + ny * v[i])
+            along = (x[i] + s * u[i] - x0) * (x1 - x0) + (y[i] + s * v[i] - y0) * (y1 - y0)
+            good = (
+                (s > 0.0)
+                & (s < best[i])
+                & (along >= 0.0)
+                & (along <= square)
+                & (abs(z[i] + s * w[i]) <= half)
+            )
+            best[i] = s if good else best[i]
 
 
 @exact
 def one_sky(world: Floats) -> bool:
     """Whether the sky has one colour at the zenith and at the horizon."""
     return bool(
-        world[ZENITH] == world[HORIZON]
-        and world[ZENITH + 1] == world[HORIZON + 1]
-        and world[ZENITH + 2] == world[HORIZON + 2]
+        world[slot.ZENITH] == world[slot.HORIZON]
+        and world[slot.ZENITH + 1] == world[slot.HORIZON + 1]
+        and world[slot.ZENITH + 2] == world[slot.HORIZON + 2]
     )
 
 
@@ -75,14 +219,14 @@ def one_sky(world: Floats) -> bool:
 def background(world: Floats, u: float, v: float, w: float) -> tuple[float, float, float]:
     """Light of the sky, or of the ground below the horizon."""
     if v < 0.0:
-        return world[GROUND], world[GROUND + 1], world[GROUND + 2]
+        return world[slot.GROUND], world[slot.GROUND + 1], world[slot.GROUND + 2]
     share = 0.0
     if not one_sky(world):
         share = min(1.0, max(0.0, math.atan2(v, math.hypot(u, w)) / (0.5 * math.pi)))
     return (
-        world[HORIZON] + (world[ZENITH] - world[HORIZON]) * share,
-        world[HORIZON + 1] + (world[ZENITH + 1] - world[HORIZON + 1]) * share,
-        world[HORIZON + 2] + (world[ZENITH + 2] - world[HORIZON + 2]) * share,
+        world[slot.HORIZON] + (world[slot.ZENITH] - world[slot.HORIZON]) * share,
+        world[slot.HORIZON + 1] + (world[slot.ZENITH + 1] - world[slot.HORIZON + 1]) * share,
+        world[slot.HORIZON + 2] + (world[slot.ZENITH + 2] - world[slot.HORIZON + 2]) * share,
     )
 
 
@@ -91,35 +235,54 @@ def painted(tables: Tables, k: int, facet: int, ray: Ray, distance: float) -> tu
     """Light of primitive k where a ray meets it."""
     world, prim, store = tables.world, tables.prim, tables.store
     x, y, z, u, v, w = ray
-    px, py, pz = x - prim[k, ORIGIN], y - prim[k, ORIGIN + 1], z - prim[k, ORIGIN + 2]
-    ru = u * prim[k, TURN + 0] + v * prim[k, TURN + 3] + w * prim[k, TURN + 6]
-    rv = u * prim[k, TURN + 1] + v * prim[k, TURN + 4] + w * prim[k, TURN + 7]
-    rw = u * prim[k, TURN + 2] + v * prim[k, TURN + 5] + w * prim[k, TURN + 8]
-    lx = px * prim[k, TURN + 0] + py * prim[k, TURN + 3] + pz * prim[k, TURN + 6] + distance * ru
-    ly = px * prim[k, TURN + 1] + py * prim[k, TURN + 4] + pz * prim[k, TURN + 7] + distance * rv
-    lz = px * prim[k, TURN + 2] + py * prim[k, TURN + 5] + pz * prim[k, TURN + 8] + distance * rw
-    paint, pattern = prim[k, PAINT], prim[k, PATTERN]
-    if paint == COORDINATES:
-        return lx / (2.0 * prim[k, SIZE]) + 0.5, ly / (2.0 * prim[k, SIZE + 1]) + 0.5, 1.0
-    if paint == IMAGE:
+    px, py, pz = x - prim[k, slot.ORIGIN], y - prim[k, slot.ORIGIN + 1], z - prim[k, slot.ORIGIN + 2]
+    ru = u * prim[k, slot.TURN + 0] + v * prim[k, slot.TURN + 3] + w * prim[k, slot.TURN + 6]
+    rv = u * prim[k, slot.TURN + 1] + v * prim[k, slot.TURN + 4] + w * prim[k, slot.TURN + 7]
+    rw = u * prim[k, slot.TURN + 2] + v * prim[k, slot.TURN + 5] + w * prim[k, slot.TURN + 8]
+    lx = (
+        px * prim[k, slot.TURN + 0]
+        + py * prim[k, slot.TURN + 3]
+        + pz * prim[k, slot.TURN + 6]
+        + distance * ru
+    )
+    ly = (
+        px * prim[k, slot.TURN + 1]
+        + py * prim[k, slot.TURN + 4]
+        + pz * prim[k, slot.TURN + 7]
+        + distance * rv
+    )
+    lz = (
+        px * prim[k, slot.TURN + 2]
+        + py * prim[k, slot.TURN + 5]
+        + pz * prim[k, slot.TURN + 8]
+        + distance * rw
+    )
+    paint, pattern = prim[k, slot.PAINT], prim[k, slot.PATTERN]
+    if paint == slot.COORDINATES:
+        return lx / (2.0 * prim[k, slot.SIZE]) + 0.5, ly / (2.0 * prim[k, slot.SIZE + 1]) + 0.5, 1.0
+    if paint == slot.IMAGE:
         return sampled(prim, store, k, lx, ly)
-    c = COLOUR
-    if paint == CHECKER:
+    c = slot.COLOUR
+    if paint == slot.CHECKER:
         tile = math.floor(lx / pattern) + math.floor(lz / pattern)
-        c = COLOUR if tile - 2.0 * math.floor(0.5 * tile) == 1.0 else COLOUR + 3
-    elif paint == STRIPES:
+        c = slot.COLOUR if tile - 2.0 * math.floor(0.5 * tile) == 1.0 else slot.COLOUR + 3
+    elif paint == slot.STRIPES:
         stripe = math.floor(2.0 * lx / pattern)
-        c = COLOUR if stripe - 2.0 * math.floor(0.5 * stripe) == 0.0 else COLOUR + 3
-    light = world[AMBIENT]
-    if world[KEY] != 0.0:
+        c = slot.COLOUR if stripe - 2.0 * math.floor(0.5 * stripe) == 0.0 else slot.COLOUR + 3
+    light = world[slot.AMBIENT]
+    if world[slot.KEY] != 0.0:
         nx, ny, nz = normal(tables, k, facet, lx, ly, lz)
-        sx = nx * prim[k, TURN + 0] + ny * prim[k, TURN + 1] + nz * prim[k, TURN + 2]
-        sy = nx * prim[k, TURN + 3] + ny * prim[k, TURN + 4] + nz * prim[k, TURN + 5]
-        sz = nx * prim[k, TURN + 6] + ny * prim[k, TURN + 7] + nz * prim[k, TURN + 8]
-        facing = sx * world[TOWARDS_LIGHT] + sy * world[TOWARDS_LIGHT + 1] + sz * world[TOWARDS_LIGHT + 2]
+        sx = nx * prim[k, slot.TURN + 0] + ny * prim[k, slot.TURN + 1] + nz * prim[k, slot.TURN + 2]
+        sy = nx * prim[k, slot.TURN + 3] + ny * prim[k, slot.TURN + 4] + nz * prim[k, slot.TURN + 5]
+        sz = nx * prim[k, slot.TURN + 6] + ny * prim[k, slot.TURN + 7] + nz * prim[k, slot.TURN + 8]
+        facing = (
+            sx * world[slot.TOWARDS_LIGHT]
+            + sy * world[slot.TOWARDS_LIGHT + 1]
+            + sz * world[slot.TOWARDS_LIGHT + 2]
+        )
         if sx * u + sy * v + sz * w > 0.0:
             facing = -facing
-        light = world[AMBIENT] + world[KEY] * max(0.0, facing)
+        light = world[slot.AMBIENT] + world[slot.KEY] * max(0.0, facing)
     return prim[k, c] * light, prim[k, c + 1] * light, prim[k, c + 2] * light
 
 
@@ -127,26 +290,26 @@ def painted(tables: Tables, k: int, facet: int, ray: Ray, distance: float) -> tu
 def normal(tables: Tables, k: int, facet: int, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Unit normal in the primitive's frame, of either sign."""
     prim = tables.prim
-    kind, a, b, c = prim[k, KIND], prim[k, SIZE], prim[k, SIZE + 1], prim[k, SIZE + 2]
+    kind, a, b, c = prim[k, slot.KIND], prim[k, slot.SIZE], prim[k, slot.SIZE + 1], prim[k, slot.SIZE + 2]
     nx, ny, nz = 0.0, 0.0, 1.0
-    if kind == FLOOR:
+    if kind == slot.FLOOR:
         return 0.0, 1.0, 0.0
-    if kind == SPHERE:
+    if kind == slot.SPHERE:
         nx, ny, nz = x / a, y / a, z / a
-    elif kind == BOX:
+    elif kind == slot.BOX:
         if abs(x) / a >= abs(y) / b and abs(x) / a >= abs(z) / c:
             nx, ny, nz = 1.0, 0.0, 0.0
         elif abs(y) / b >= abs(z) / c:
             nx, ny, nz = 0.0, 1.0, 0.0
-    elif kind == CONE:
+    elif kind == slot.CONE:
         slope, radius = (b - a) / c, math.hypot(x, z)
         if min(abs(y), abs(y - c)) < abs(radius - (a + slope * y)):
             nx, ny, nz = 0.0, 1.0, 0.0
         else:
             nx, ny, nz = x, -slope * radius, z
-    elif kind == PRISM:
-        nx, ny, nz = prism_normal(tables.store, int(prim[k, PIECE]), int(prim[k, END]), a, x, y, z)
-    elif kind == MESH:
+    elif kind == slot.PRISM:
+        nx, ny, nz = prism_normal(tables.store, int(prim[k, slot.PIECE]), int(prim[k, slot.END]), a, x, y, z)
+    elif kind == slot.MESH:
         nx, ny, nz = normal_of(tables.trees, facet)
     length = math.sqrt(nx * nx + ny * ny + nz * nz)
     return nx / length, ny / length, nz / length
@@ -174,12 +337,12 @@ def prism_normal(
 @exact
 def sampled(prim: Floats, store: Floats, k: int, x: float, y: float) -> tuple[float, float, float]:
     """Bilinear light of a picture; its right edge is at −x."""
-    height, width = int(prim[k, ROWS]), int(prim[k, COLUMNS])
-    px = min(width - 1.0, max(0.0, (0.5 - x / (2.0 * prim[k, SIZE])) * width - 0.5))
-    py = min(height - 1.0, max(0.0, (0.5 - y / (2.0 * prim[k, SIZE + 1])) * height - 0.5))
+    height, width = int(prim[k, slot.ROWS]), int(prim[k, slot.COLUMNS])
+    px = min(width - 1.0, max(0.0, (0.5 - x / (2.0 * prim[k, slot.SIZE])) * width - 0.5))
+    py = min(height - 1.0, max(0.0, (0.5 - y / (2.0 * prim[k, slot.SIZE + 1])) * height - 0.5))
     i, j = min(int(px), max(width - 2, 0)), min(int(py), max(height - 2, 0))
     f, g = px - i, py - j
-    a = int(prim[k, PIECE]) + 3 * (j * width + i)
+    a = int(prim[k, slot.PIECE]) + 3 * (j * width + i)
     right = 3 if width > 1 else 0
     down = 3 * width if height > 1 else 0
     b, c, d = a + right, a + down, a + down + right
@@ -216,13 +379,13 @@ class Pad(NamedTuple):
 def new_pad() -> Pad:
     """Scratch for one thread."""
     return Pad(
-        np.empty((6, BLOCK)),
-        np.empty(BLOCK),
-        np.empty(BLOCK, np.int64),
-        np.empty((3, BLOCK)),
-        np.empty(BLOCK),
-        np.empty((4, max(BLOCK, DEPTH)), np.int64),
-        np.empty((16, BLOCK)),
+        np.empty((6, slot.BLOCK)),
+        np.empty(slot.BLOCK),
+        np.empty(slot.BLOCK, np.int64),
+        np.empty((3, slot.BLOCK)),
+        np.empty(slot.BLOCK),
+        np.empty((4, max(slot.BLOCK, DEPTH)), np.int64),
+        np.empty((16, slot.BLOCK)),
     )
 
 
@@ -243,8 +406,8 @@ def look_all(
     light : (n, 3), met : (n,), distance : (n,). Result; the distance of a ray that met nothing is its limit.
     """
     pad = new_pad()
-    for start in range(0, len(origin), BLOCK):
-        m = min(BLOCK, len(origin) - start)
+    for start in range(0, len(origin), slot.BLOCK):
+        m = min(slot.BLOCK, len(origin) - start)
         o, d = origin[start : start + m], direction[start : start + m]
         for i in range(m):
             for c in range(3):
@@ -263,8 +426,8 @@ def look_block(tables: Tables, m: int, pad: Pad) -> None:
     world, cluster, prim = tables.world, tables.cluster, tables.prim
     _behind(world, m, pad.ray, pad.which, pad.colour)
     for c in range(len(cluster)):
-        k = int(cluster[c, FIRST])
-        if prim[k, KIND] == FLOOR and cluster[c, PAST] == k + 1:
+        k = int(cluster[c, slot.FIRST])
+        if prim[k, slot.KIND] == slot.FLOOR and cluster[c, slot.PAST] == k + 1:
             _floor(world, prim, k, m, pad.ray, pad.best, pad.which, pad.colour)
             continue
         bound(cluster, c, m, pad.ray, pad.near)
@@ -282,9 +445,9 @@ def _behind(world: Floats, m: int, ray: Floats, which: Any, colour: Floats) -> N
         which[i] = -1
     for i in range(m):
         down = v[i] < 0.0
-        red[i] = world[GROUND] if down else world[HORIZON]
-        green[i] = world[GROUND + 1] if down else world[HORIZON + 1]
-        blue[i] = world[GROUND + 2] if down else world[HORIZON + 2]
+        red[i] = world[slot.GROUND] if down else world[slot.HORIZON]
+        green[i] = world[slot.GROUND + 1] if down else world[slot.HORIZON + 1]
+        blue[i] = world[slot.GROUND + 2] if down else world[slot.HORIZON + 2]
 
 
 @exact
@@ -304,17 +467,20 @@ def _floor(
     """A chequered floor, without a branch in the ray loop."""
     x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
     red, green, blue, left, index = colour[0, :m], colour[1, :m], colour[2, :m], best[:m], which[:m]
-    height, side, reach = prim[k, ORIGIN + 1], prim[k, PATTERN], prim[k, SIZE]
+    height, side, reach = prim[k, slot.ORIGIN + 1], prim[k, slot.PATTERN], prim[k, slot.SIZE]
     towards = 0
     for i in range(m):
         towards += 1 if (height - y[i]) * v[i] > 0.0 else 0
     if towards == 0:  # a block of sky, as half of most views is
         return
-    up = world[TOWARDS_LIGHT + 1]
-    above, below = (world[AMBIENT] + world[KEY] * max(0.0, up), world[AMBIENT] + world[KEY] * max(0.0, -up))
+    up = world[slot.TOWARDS_LIGHT + 1]
+    above, below = (
+        world[slot.AMBIENT] + world[slot.KEY] * max(0.0, up),
+        world[slot.AMBIENT] + world[slot.KEY] * max(0.0, -up),
+    )
     per_side, square = 1.0 / side, reach * reach
-    odd0, odd1, odd2 = prim[k, COLOUR], prim[k, COLOUR + 1], prim[k, COLOUR + 2]
-    even0, even1, even2 = prim[k, COLOUR + 3], prim[k, COLOUR + 4], prim[k, COLOUR + 5]
+    odd0, odd1, odd2 = prim[k, slot.COLOUR], prim[k, slot.COLOUR + 1], prim[k, slot.COLOUR + 2]
+    even0, even1, even2 = prim[k, slot.COLOUR + 3], prim[k, slot.COLOUR + 4], prim[k, slot.COLOUR + 5]
     for i in range(m):
         s = (height - y[i]) / v[i]
         far = s * s * (u[i] * u[i] + v[i] * v[i] + w[i] * w[i])
@@ -339,12 +505,12 @@ def bound(cluster: Floats, c: int, m: int, ray: Floats, near: Floats) -> None:
     x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
     out = near[:m]
     mx, my, mz, hx, hy, hz = (
-        cluster[c, CENTRE],
-        cluster[c, CENTRE + 1],
-        cluster[c, CENTRE + 2],
-        cluster[c, EXTENT],
-        cluster[c, EXTENT + 1],
-        cluster[c, EXTENT + 2],
+        cluster[c, slot.CENTRE],
+        cluster[c, slot.CENTRE + 1],
+        cluster[c, slot.CENTRE + 2],
+        cluster[c, slot.EXTENT],
+        cluster[c, slot.EXTENT + 1],
+        cluster[c, slot.EXTENT + 2],
     )
     for i in range(m):
         inverse = 1.0 / w[i]
@@ -384,24 +550,24 @@ def _object(tables: Tables, c: int, count: int, pad: Pad) -> None:
     part, which, facet = pad.part, pad.some[1], pad.some[2]
     local, least, s = part[6:12], part[12], part[13]
     x0, x1, y0, y1 = _window(cluster, c, count, part)
-    for k in range(int(cluster[c, FIRST]), int(cluster[c, PAST])):
+    for k in range(int(cluster[c, slot.FIRST]), int(cluster[c, slot.PAST])):
         if (
-            prim[k, BOUND] > x1
-            or prim[k, BOUND + 3] < x0
-            or prim[k, BOUND + 1] > y1
-            or prim[k, BOUND + 4] < y0
+            prim[k, slot.BOUND] > x1
+            or prim[k, slot.BOUND + 3] < x0
+            or prim[k, slot.BOUND + 1] > y1
+            or prim[k, slot.BOUND + 4] < y0
         ):
             continue
         to_frame(prim, k, count, part, local)
-        if prim[k, KIND] == MESH:
+        if prim[k, slot.KIND] == slot.MESH:
             for q in range(count):
                 ray = Ray(local[0, q], local[1, q], local[2, q], local[3, q], local[4, q], local[5, q])
-                t, f = nearest(tables.trees, int(prim[k, PIECE]), ray, least[q], pad.some[3])
+                t, f = nearest(tables.trees, int(prim[k, slot.PIECE]), ray, least[q], pad.some[3])
                 if f >= 0:
                     least[q], which[q], facet[q] = t, k, f
             continue
-        if prim[k, KIND] == FLOOR:
-            _level(count, local, prim[k, SIZE], s)
+        if prim[k, slot.KIND] == slot.FLOOR:
+            _level(count, local, prim[k, slot.SIZE], s)
         else:
             distances(prim, store, k, count, local, s, part[14:])
         for q in range(count):
@@ -416,18 +582,18 @@ def _paint(tables: Tables, count: int, pad: Pad) -> None:
     """Write distance, primitive and light of those gathered rays that met something."""
     world, prim, part, which, least = tables.world, tables.prim, pad.part, pad.some[1], pad.part[12]
     best, met, red, green, blue = pad.best, pad.which, pad.colour[0], pad.colour[1], pad.colour[2]
-    luminous, own = world[KEY] == 0.0, world[AMBIENT]
+    luminous, own = world[slot.KEY] == 0.0, world[slot.AMBIENT]
     for q in range(count):
         k = which[q]
         if k < 0:
             continue
         i = pad.some[0, q]
         best[i], met[i] = least[q], k
-        if luminous and prim[k, PAINT] == LIT:  # the same light everywhere: no call
+        if luminous and prim[k, slot.PAINT] == slot.LIT:  # the same light everywhere: no call
             red[i], green[i], blue[i] = (
-                prim[k, COLOUR] * own,
-                prim[k, COLOUR + 1] * own,
-                prim[k, COLOUR + 2] * own,
+                prim[k, slot.COLOUR] * own,
+                prim[k, slot.COLOUR + 1] * own,
+                prim[k, slot.COLOUR + 2] * own,
             )
         else:
             ray = Ray(part[0, q], part[1, q], part[2, q], part[3, q], part[4, q], part[5, q])
@@ -438,7 +604,7 @@ def _paint(tables: Tables, count: int, pad: Pad) -> None:
 def _window(cluster: Floats, c: int, count: int, part: Floats) -> tuple[float, float, float, float]:
     """Range of x and y of the gathered rays between an object's lowest and highest z."""
     x, y, z, u, v, w = part[0], part[1], part[2], part[3], part[4], part[5]
-    level, half = cluster[c, CENTRE + 2], cluster[c, EXTENT + 2]
+    level, half = cluster[c, slot.CENTRE + 2], cluster[c, slot.EXTENT + 2]
     x0, x1, y0, y1, steep = np.inf, -np.inf, np.inf, -np.inf, np.inf
     for q in range(count):
         inverse = 1.0 / w[q]

@@ -214,13 +214,13 @@ def _mesh(rows: Sequence[AccuracyRow]) -> tuple[str, str]:
 
 
 def _files(rows: Sequence[AccuracyRow], floors: Sequence[Floor]) -> str:
-    from clacad.exporting.formats import stl
+    from clacad.exporting.formats.indexed_meshes import STL
 
     step = _row(rows, "step")
     faceted = [
         one
         for one in floors
-        if one.normals == "facet" and one.floor is not None and stl.WORD in one.formats.split(", ")
+        if one.normals == "facet" and one.floor is not None and STL in one.formats.split(", ")
     ]
     parts = []
     if step is not None and isfinite(step.model_rms):
