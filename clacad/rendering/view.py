@@ -22,9 +22,10 @@ from clacad.rendering.scene_hits import background, look, may_cross
 from clacad.rendering.sheet_passage import Between, Passage, plan_passage
 from clacad.scene import Camera, Scene
 from clacad.sheet.face_order import media_of
+from clacad.sheet.lattice import half_sizes
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Window
-from clacad.tracing.layout import half_sizes, lay_out
+from clacad.tracing.layout import lay_out
 
 if TYPE_CHECKING:
     from clacad.effects.engine.homogeneous_light import LightRays

@@ -79,7 +79,7 @@ def grown(outline: Outline, border: float) -> Outline:
     return outline
 
 
-def _half_sizes(outline: Outline) -> tuple[float, float]:
+def half_sizes(outline: Outline) -> tuple[float, float]:
     """Half sizes of an outline: its reach from the origin along x and y (lengths)."""
     if isinstance(outline, Plate):
         return outline.reach
@@ -280,7 +280,7 @@ def _of_rows(lattice: Lattice, rows: Ints) -> Ints:
     last = first + lattice.count[0]
     if lattice.outline is not None:
         middle = -lattice.centres(np.stack([np.zeros_like(rows), rows], axis=-1))[:, 0] / lattice.pitch[0]
-        reach = _half_sizes(lattice.outline)[0] / lattice.pitch[0] + 1.0
+        reach = half_sizes(lattice.outline)[0] / lattice.pitch[0] + 1.0
         first, last = (
             np.maximum(first, np.minimum(last, end)).astype(np.int64)
             for end in (middle - reach, middle + reach + 1.0)
@@ -319,7 +319,7 @@ def _rows(lattice: Lattice) -> range:
     """Rows within the outline's reach; all rows without an outline."""
     if lattice.outline is None:
         return range(lattice.count[1])
-    middle, reach = 0.5 * (lattice.count[1] - 1), _half_sizes(lattice.outline)[1] / lattice.row_height + 1.0
+    middle, reach = 0.5 * (lattice.count[1] - 1), half_sizes(lattice.outline)[1] / lattice.row_height + 1.0
     low, high = (int(max(0, min(lattice.count[1], end))) for end in (middle - reach, middle + reach + 1.0))
     return range(low, high)
 

@@ -16,6 +16,7 @@ import numpy as np
 from clacad.base.sobol import sobol
 from clacad.base.types import Floats, Ints
 from clacad.sheet.cell_places import extreme_cells
+from clacad.sheet.lattice import Rectangle
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import (
     Face,
@@ -146,13 +147,13 @@ def sectors_of(window: Window) -> int:
 
     An outline is cut along x = 0 and y = 0, where borders of all arrays must lie: no cell may lie there.
     """
-    lattice, copies = window.lattice, turned_alike(window)
-    if isinstance(window.outline, Plate) or (lattice.hexagonal and window.outline is not None):
+    lattice, outline, copies = window.lattice, window.outline, turned_alike(window)
+    uncut = isinstance(outline, Plate) or (lattice.hexagonal and outline is not None)
+    if uncut or lattice.count[1] % 2:
         return 1
-    odd = [bool(number % 2) for number in lattice.count]
-    if copies == 4 and any(odd):
-        return 1
-    return 1 if odd[1] else copies
+    if isinstance(outline, Rectangle) and abs(outline.width - outline.height) > SAME * min(lattice.pitch):
+        return min(copies, 2)
+    return copies
 
 
 def sector(window: Window) -> Window:

@@ -19,7 +19,7 @@ from clacad.base.polygons import polygon_area
 from clacad.base.types import Floats, Ints
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.face_order import plates_of
-from clacad.sheet.lattice import Circle, Rectangle
+from clacad.sheet.lattice import Circle, Rectangle, half_sizes
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import Body, Face, Window, column, face_height, heights_of_lenses, optical_tile
 
@@ -259,13 +259,10 @@ def body_extent(window: Window, body: Body) -> tuple[float, float, float, float]
     dx, dy = place.shift
     if isinstance(window.outline, Plate):
         return window.outline.box
-    if isinstance(window.outline, Circle):
-        r = 0.5 * window.outline.diameter
-        return dx - r, dx + r, dy - r, dy + r
-    if isinstance(window.outline, Rectangle):
-        w, h = 0.5 * window.outline.width, 0.5 * window.outline.height
-        return dx - w, dx + w, dy - h, dy + h
-    return place.extent(window.lattice)
+    if window.outline is None:
+        return place.extent(window.lattice)
+    w, h = half_sizes(window.outline)
+    return dx - w, dx + w, dy - h, dy + h
 
 
 def whole_extent(window: Window) -> tuple[float, float, float, float]:

@@ -18,7 +18,7 @@ from clacad.optics.rays import Rays
 from clacad.optics.surface import sharpest_bend
 from clacad.sheet.cell_places import DIRECTIONS, CellPlacement, LensPlaces, VertexChange
 from clacad.sheet.face_order import media_of, outline_centre
-from clacad.sheet.lattice import Circle, Lattice, Rectangle
+from clacad.sheet.lattice import Circle, Lattice, Rectangle, half_sizes
 from clacad.sheet.pattern import relocate, turned
 from clacad.sheet.plate import Plate
 from clacad.sheet.window import (
@@ -430,12 +430,6 @@ def _footprint(window: Window, body: Body) -> Footprint:
     hx, hy = half_sizes(window.outline)
     kind, room = ("circle", hx) if isinstance(window.outline, Circle) else ("rectangle", np.inf)
     return (cx - hx, cx + hx, cy - hy, cy + hy), (hx, hy, room), (kind, hx, hy), (cx, cy)
-
-
-def half_sizes(outline: Circle | Rectangle) -> tuple[float, float]:
-    """Half width and half height (lengths) of an outline."""
-    wide = outline.diameter if isinstance(outline, Circle) else outline.width
-    return 0.5 * wide, 0.5 * (wide if isinstance(outline, Circle) else outline.height)
 
 
 def _inside_cells(lattice: Lattice, place: CellPlacement, box: Box) -> tuple[float, float, float]:

@@ -73,6 +73,15 @@ ROWS = {
     "dry run": _export("step,stl", "--dry-run"),
     "step": _export("step"),
     "step verify": _verify("step"),
+    **{
+        f"step{how}, {kind} {form}": _export(
+            "step", "--set", f"lattice.kind={kind}", "--set", f"pair.form={form}", "--step", step
+        )
+        for kind, form in (("hexagonal", "slab"), ("hexagonal", "plano"), ("square", "plano"))
+        for how, step in (("", "auto"), (" fused", "fused"))
+    },
+    "step fused": _export("step", "--step", "fused"),
+    "step fused verify": _verify("step fused"),
     "stl 8": _export("stl", "--quads", "8"),
     "stl 8 verify": _verify("stl 8"),
     "3mf 8": _export("3mf", "--quads", "8"),

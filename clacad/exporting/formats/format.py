@@ -251,11 +251,14 @@ def about_number(number: int) -> int:
     return int(float(f"{number:.1e}"))
 
 
-def own_cells_note(window: Window) -> str:
-    """Note on the extra cost of a file of a non-uniform sheet; "" for a uniform sheet."""
+def own_cells_note(window: Window, copies: int = 1) -> str:
+    """Note on the extra cost of a file of a non-uniform sheet, or of one of its equal sectors; "" for a
+    uniform sheet.
+    """
     if window.uniform:
         return ""
-    return f"every cell differs: {window.lattice.cell_count:,} are written out, none can be repeated"
+    rest = "none can be repeated" if copies == 1 else f"each is repeated {copies} times, turned"
+    return f"every cell differs: {window.lattice.cell_count // copies:,} are written out, {rest}"
 
 
 IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]

@@ -86,18 +86,18 @@ def _at_a_glance(window: Window, sheet: RoughSheet, _chosen: ChosenMesh | None) 
 def _row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:
     from clacad.sheet.representative_cells import sectors_of
 
-    columns = window.lattice.cell_count * len(window.bodies)
+    copies = 1 if mode == "fused" or window.uniform else sectors_of(window)
+    columns = window.lattice.cell_count * len(window.bodies) // copies
     if mode == "fused":
         each = 250_000 if window.uniform else 50_000  # non-uniform: cells are described one by one
         memory = (400_000_000, 900_000_000 + each * columns)
     elif not window.uniform:
-        columns //= sectors_of(window)
         memory = (300_000_000, 900_000_000 + 50_000 * columns)
     else:
         written_out = columns if window.lattice.outline is not None else 0  # else rows stay rows
         memory = (250_000_000, 700_000_000 + 100 * size + 1000 * written_out)
     modelled = _seconds(size, mode) + (0.0 if window.uniform else OWN_CELL_SECONDS * columns)
-    return Forecast(WORD, size, False, None, None, modelled, memory, note=own_cells_note(window))
+    return Forecast(WORD, size, False, None, None, modelled, memory, note=own_cells_note(window, copies))
 
 
 def step_bytes(window: Window, mode: Literal["fused", "instanced"], pcurves: bool = True) -> int:

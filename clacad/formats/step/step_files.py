@@ -309,11 +309,8 @@ def _turned_body(
     numbers = _solids(writer, shells, f"{body.name} sector")
     product = part.product(f"{body.name} sector", [part.origin, *numbers], _BREP)
     _add_counts(counts, shells.counts, copies)
-    ways = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[:: 4 // copies]
-    spots = [part.placement(np.zeros(3), way) for way in ways]
-    whole = part.product(body.name, [part.origin, *spots], "SHAPE_REPRESENTATION")
-    for n, spot in enumerate(spots):
-        part.component(whole, product, f"{body.name} sector {n + 1}", spot)
+    placed = [(product, np.zeros(2), f"{body.name} sector {n + 1}") for n in range(copies)]
+    whole = _assembled(part, body.name, placed, WAYS[:: 4 // copies])
     facts = _facts(body.name, len(numbers) * copies, counts, layers(first, body))
     return facts, whole, _coloured(part, writer, shells, numbers, colour)
 
@@ -346,8 +343,17 @@ def _rows(
     return placed
 
 
-def _assembled(part: Part21, name: str, placed: Sequence[tuple[Part, Floats, str]]) -> Part:
-    spots = [part.placement(np.append(offset, 0.0)) for _, offset, _ in placed]
+WAYS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
+"""Directions of the x axis of a part in its places, turn by turn."""
+
+
+def _assembled(
+    part: Part21,
+    name: str,
+    placed: Sequence[tuple[Part, Floats, str]],
+    ways: Sequence[tuple[float, float]] = WAYS[:1],
+) -> Part:
+    spots = [part.placement(np.append(at, 0.0), way) for (_, at, _), way in zip(placed, cycle(ways))]
     assembly = part.product(name, [part.origin, *spots], "SHAPE_REPRESENTATION")
     for (child, _, title), spot in zip(placed, spots):
         part.component(assembly, child, title, spot)

@@ -17,10 +17,10 @@ from clacad.base.vectors import to_sheet, to_surface
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.sheet.cell_places import CellPlacement, LensPlaces, VertexChange, extreme_cells
 from clacad.sheet.face_order import lined_array
-from clacad.sheet.lattice import Circle, Outline
+from clacad.sheet.lattice import Circle, Outline, half_sizes
 from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate import Plate
-from clacad.tracing.layout import Box, Layout, array_numbers, half_sizes, sheet_position
+from clacad.tracing.layout import Box, Layout, array_numbers, sheet_position
 from clacad.tracing.ledger import Ledger, RayColumns
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import along_normal
