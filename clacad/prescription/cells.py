@@ -578,15 +578,7 @@ def _with_toric(
     Thick lenses lie at their principal planes, which follow from their radii and these from the planes.
     """
     recipe, told, index = window.recipe, window.recipe["field"], window.recipe["n"]
-    _refuse_tilted(window)
-    if design.pair.given:
-        raise NoSuchLens(
-            "eta_x and eta_y of each cell with a field lens: both its faces have power along both axes, which"
-            " pair.face of one eta does not state",
-            SIZES_KEY,
-            'one column eta, or prescription = "derived"',
-            "CL127",
-        )
+    _refuse_tilted(window, design.pair.given)
     separation, reach, plates = recipe["s"], np.array(told["reach"]), "gap" in told
     gap = told["gap"] if plates else told["thickness"] / index
     rise = (mean := mean_focus(every, separation)) - mean[0]
@@ -649,14 +641,17 @@ def _refuse_hollow(window: Window, cells: Ints, every: Floats, gap: float) -> No
         )
 
 
-def _refuse_tilted(window: Window) -> None:
-    """Refuse tilted lenses, whose foci do not lie on the line between their cells."""
-    if window.law.theta != 0.0:
+def _refuse_tilted(window: Window, given: bool = False) -> None:
+    """Refuse tilted lenses, whose foci do not lie on the line between their cells, and `given` faces."""
+    if given or window.law.theta != 0.0:
         raise NoSuchLens(
-            f"theta = {np.degrees(window.law.theta):g} deg and an eta of each cell: field lenses at foci of"
-            " different depths along tilted axes are not made",
+            "eta_x and eta_y of each cell with a field lens: both its faces have power along both axes, which"
+            " pair.face of one eta does not state"
+            if given
+            else f"theta = {np.degrees(window.law.theta):g} deg and an eta of each cell: field lenses at foci"
+            " of different depths along tilted axes are not made",
             SIZES_KEY,
-            "theta = 0, or one eta for all cells",
+            'one column eta, or prescription = "derived"' if given else "theta = 0, or one eta for all cells",
             "CL127",
         )
 
