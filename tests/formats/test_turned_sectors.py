@@ -41,6 +41,9 @@ def turned(points, copies):
         ({"lattice__kind": "hexagonal"}, 2, 1),  # rows of cells are no straight cut through the outline
         ({"lattice__kind": "hexagonal", "pair__form": "plano"}, 2, 2),
         ({"law__eta": [-1.0, -0.5]}, 2, 2),
+        ({"body__outline": {"circle": 16}}, 4, 1),  # a plate is not cut: its holes may break the symmetry
+        ({"body__border": 2.0}, 4, 4),
+        ({"lattice__outline": {"rectangle": [3, 2]}}, 2, 2),
         ({"law__delta": [0.01, 0.0]}, 1, 1),
         ({"lattice__aperture": {"point": [1, 0, -400]}}, 1, 1),
     ],
