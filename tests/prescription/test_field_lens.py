@@ -325,6 +325,15 @@ def test_a_gap_that_leaves_the_focus_fails_the_check():
     assert "field_focus" in {check.id for check in judged.failing}
 
 
+@pytest.mark.slow
+def test_faces_bent_for_two_foci_are_judged_by_the_pair_that_they_make():
+    two = {"law__eta": [-1.0, -1.1], "lattice__kind": "hexagonal", "lattice__count": [4, 4]}
+    judged = judge(sheet(**two))
+    states = {check.id: check.state for check in judged.checks}
+    assert states["field_focus"] == "not run"
+    assert {states[name] for name in ("confocality", "pupil", "field_throughput")} == {"pass"}
+
+
 def test_eta_minus_one_is_one_part_twice():
     window = prescribe(sheet())
     assert window.recipe["field"]["equal_plates"]

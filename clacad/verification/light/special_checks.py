@@ -83,8 +83,16 @@ def field_lens_checks(lit: Lit) -> Iterator[Check]:
 
 
 def _focus(window: Window) -> Check:
-    """Distance of the field faces from the foci of the optics before them."""
+    """Distance of the field faces from the foci of the optics before them; not of those solved for two foci."""
     pair = window.thin
+    f1 = pair.focal_length[0]
+    bent = [face.surface for face in window.faces if face.array == 2]
+    both = sum(face.curvature_x != 0.0 and face.curvature_y != 0.0 for face in bent) > 1
+    if both and abs(f1[0] - f1[1]) > 2.0 * FOCUS * max(map(abs, f1)):
+        why = (
+            "lens 1 has two foci, and both field faces bend along both axes: confocality and pupil judge them"
+        )
+        return FIELD_FOCUS.not_run(why, limit=FOCUS, where=FIELD_FOCUS.where, required=False)
     start = axis_start(window, pair.rotation[:, 2])
     seq = interfaces(window, None, field_onto_axis(window, start))
     worst, where = 0.0, ""
@@ -95,7 +103,7 @@ def _focus(window: Window) -> Check:
             if curvature == 0.0:
                 continue
             off = _from_focus(window, seq[:number], np.asarray(seq[number].vertex), start, axis)
-            part = abs(off) / seq[number].index_before / pair.focal_length[0][axis]
+            part = abs(off) / seq[number].index_before / f1[axis]
             if part >= worst:
                 worst, where = part, f"face {number + 1}, {'xy'[axis]}"
     sentence = f"the field faces are at most {worst:.3g} of f1 from the foci of lens 1 ({where})"
