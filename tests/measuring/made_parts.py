@@ -105,7 +105,7 @@ class Made:
             qz = qz + step
             if np.abs(step).max() < 1e-12:
                 break
-        out = self.z_scale * (qz + self.random.normal(0.0, self.noise, qz.shape))
+        out = self.z_scale * (qz + (self.random.normal(0.0, self.noise, qz.shape) if self.noise else 0.0))
         out[self.random.random(out.shape) < self.lost] = np.nan
         out[seam < self.rim] = np.nan
         for _ in range(self.spikes):
