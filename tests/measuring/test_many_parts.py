@@ -302,7 +302,7 @@ def test_errors_of_lenslets_of_other_radii_pixels_and_noise_are_as_large_as_stat
 
 @pytest.mark.daily_cases("PRIOR-10.0")
 @pytest.mark.parametrize(
-    ("name", "other"), [("PRIOR", 10.0), ("PRIOR", 0.1), ("PRESENT", 0.7), ("THIN", 1200)]
+    ("name", "other"), [("PRIOR", 10.0), ("PRIOR", 0.1), ("PRESENT", 0.7), ("THIN", 1200), ("BATCH", 9000)]
 )
 def test_settings_of_the_fit_decide_nothing(name, other, monkeypatch):
     before = pulls(3)
