@@ -166,7 +166,7 @@ class Sizes:
 
     def finest(self, format: str) -> int:
         """Finest grid of "auto" that fits, or the coarsest grid if none fits."""
-        return max((quads for quads in POWERS if self.fits(format, quads)), default=POWERS[0])
+        return next((quads for quads in reversed(POWERS) if self.fits(format, quads)), POWERS[0])
 
     def _drawn(self, format: str, quads: int) -> Forecast:
         """Forecast of a file on a coarse grid, computed once."""
