@@ -21,7 +21,15 @@ from clacad.light.sums import LARGE, ordinary
 from clacad.optics.law import law_numbers
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.array_cells import centre_of, gradient_of, grid_of, own_size, tabled
+from clacad.tracing.compiled.array_cells import (
+    centre_of,
+    framed,
+    gradient_of,
+    grid_of,
+    own_size,
+    place_in_row,
+    tabled,
+)
 from clacad.tracing.compiled.block import (
     BLOCK,
     CI,
@@ -160,7 +168,7 @@ def sheet_plane(layout: Layout) -> Packed:
     laws = layout.window.cell_laws
     sheet = pack_array_1(layout)
     if laws is not None:
-        sheet = sheet._replace(own=own_laws(laws))
+        sheet = sheet._replace(own=own_laws(laws, layout.lattice))
     return sheet._replace(
         faces=np.zeros((1, slot.FACE_NUMBERS)), bodies=np.zeros((1, slot.BODY_NUMBERS)), media=np.ones(3)
     )
@@ -215,6 +223,12 @@ def _refract(own: OwnCells | None, sheet: Packed, law: Floats, s: Floats, m: int
             if not s[GOOD, i] > 0.0:
                 continue
             delta_x, delta_y, eta_x, eta_y = _law_of_cell(own, sheet, law, s[CI, i], s[CJ, i])
+            if framed(own, 0):
+                turn = own.frame[0, place_in_row(sheet.lattice, s[CI, i], s[CJ, i]), int(s[CJ, i])]
+                eta_x, eta_y = turn[slot.FIRST], turn[slot.SECOND]
+                a, b, c = turn[slot.AXES], turn[slot.AXES + 1], turn[slot.AXES + 2]
+                d, e, f = turn[slot.AXES + 3], turn[slot.AXES + 4], turn[slot.AXES + 5]
+                g, h, k = turn[slot.AXES + 6], turn[slot.AXES + 7], turn[slot.AXES + 8]
         u, v, w = dx[i], dy[i], dz[i]
         x, y, z = (a * u + d * v) + g * w, (b * u + e * v) + h * w, (c * u + f * v) + k * w
         sure[i] = z - NEAR * (abs(u) + abs(v) + abs(w))

@@ -23,9 +23,11 @@ from clacad.base.types import Floats, Rows
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.array_cells import (
     carry_own,
+    framed,
     from_own_lens,
     into_array,
     lens_height,
+    meet_framed,
     on_line,
     to_own_lens,
 )
@@ -361,8 +363,8 @@ def _cross(
     face = faces[f]
     within, turned, quadric = (
         own is None and face[slot.ARRAY] >= 0.0,
-        face[slot.TURNED] != 0.0,
-        face[slot.BICONIC] == 0.0,
+        face[slot.TURNED] != 0.0 and not framed(own, f),
+        face[slot.BICONIC] == 0.0 and not framed(own, f),
     )
     hx, hy, lowest, plain, first = inf, inf, climb, quadric and not turned, f or line <= 0
     margin = lat[slot.MARGIN]
@@ -372,7 +374,9 @@ def _cross(
         if first:
             _turn_in(face, s, m, offset)
         offset, lowest = (0.0, 0.0, 0.0), -2.0
-    if first and quadric:
+    if first and framed(own, f):
+        _meet_own(own, sheet, f, s, m, media[0], offset)
+    elif first and quadric:
         _meet_quadric(face, s, m, media[0], offset)
     elif first:
         _meet_biconic(faces, f, s, m, media[0], offset)
@@ -406,6 +410,15 @@ def _into_lens(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int, o
     """Transform rays to the lens of each ray's own cell, where lenses vary from cell to cell."""
     if own is not None:
         to_own_lens(sheet, own, f, s, m, offset)
+
+
+@inlined
+def _meet_own(
+    own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int, index: float, offset: Vector
+) -> None:
+    """Meet the lens of each ray's own cell."""
+    if own is not None:
+        meet_framed(sheet, own, f, s, m, index, offset)
 
 
 @inlined
