@@ -274,7 +274,12 @@ def with_prospects(
 
     A preview whose facets were chosen by default counts as declared: no master of that format was requested.
     """
-    return [replace(row, prospect=_prospect(grader, sizes, row, request)) for row in rows]
+    found = (replace(row, prospect=_prospect(grader, sizes, row, request)) for row in rows)
+    said = f"light forecast of {grader.cell}" if grader.cell else ""
+    return [
+        replace(row, note="; ".join(filter(None, (row.note, said)))) if row.quads is not None else row
+        for row in found
+    ]
 
 
 def _prospect(grader: Grader, sizes: Sizes, row: Forecast, request: Request) -> Prospect:

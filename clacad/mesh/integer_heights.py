@@ -227,9 +227,6 @@ class CellLevels:
 
 def _over_apex(face: Face, x: Floats, y: Floats) -> Floats:
     """Height of a lens above its apex over points (...) relative to it; equal points give equal bits."""
-    if face.untilted:
-        alone = replace(face, vertex=(0.0, 0.0, 0.0))
-        return lens_height(alone, x.ravel(), y.ravel()).reshape(x.shape)
     x_axis, y_axis, up = np.moveaxis(face.rotation, -2, 0)
     start = x.reshape(-1, 1) * x_axis + y.reshape(-1, 1) * y_axis
     if face.upright:

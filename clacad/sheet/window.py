@@ -611,7 +611,7 @@ def lens_height(face: Face, x: Floats, y: Floats) -> Floats:
 
 
 def sag_by_itself(surface: Surface, x: Floats, y: Floats) -> Floats | None:
-    """Heights (...) of a surface over its points (...), as of rays along its axis; None where it needs them."""
+    """Heights (...) of a surface over points (...), as by rays along its axis; None where it needs these."""
     return upright_sag(surface, x, y) if isinstance(surface, Quadric) else surface.sag(x, y)
 
 

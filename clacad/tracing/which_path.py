@@ -103,8 +103,8 @@ def _rate(rung: Rung) -> Rung:
 
 
 def has_kernel(rung: Rung, window: Window) -> bool:
-    """Whether a rung of a sheet has kernels: exact surfaces of arrays that are not turned, and rung thin without
-    a field lens, an opaque line, or lenses with axes, two sizes or heights of their own.
+    """Whether a rung of a sheet has kernels: exact surfaces of arrays that are not turned, and rung thin
+    without a field lens, an opaque line, or lenses with axes, two sizes or heights of their own.
     """
     if rung == "law":
         return True

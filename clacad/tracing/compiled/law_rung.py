@@ -26,7 +26,6 @@ from clacad.tracing.compiled.array_cells import (
     framed,
     gradient_of,
     grid_of,
-    own_size,
     place_in_row,
     tabled,
 )
@@ -68,7 +67,6 @@ from clacad.tracing.compiled.threads import in_arrays, over_threads
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
 
-Four = tuple[float, float, float, float]
 Rows3 = tuple[int, int, int]
 BEFORE, BEHIND = (DX, DY, DZ), (LEFT_X, LEFT_Y, ROOT)
 """Rows of a block with the directions before and behind the sheet."""
@@ -160,7 +158,7 @@ def trace_law_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) ->
 def _ordinary(own: OwnCells) -> bool:
     """Whether compiled code can hold the numbers of all laws; see `light.sums.ordinary`."""
     largest = max(np.abs(one).max(initial=0.0) for one in own)
-    return bool(largest < LARGE and np.abs(own.size).min(initial=1.0) > 1.0 / LARGE)
+    return bool(largest < LARGE and np.abs(own.frame[..., : slot.LIFT]).min(initial=1.0) > 1.0 / LARGE)
 
 
 def sheet_plane(layout: Layout) -> Packed:
@@ -222,7 +220,7 @@ def _refract(own: OwnCells | None, sheet: Packed, law: Floats, s: Floats, m: int
         if own is not None:
             if not s[GOOD, i] > 0.0:
                 continue
-            delta_x, delta_y, eta_x, eta_y = _law_of_cell(own, sheet, law, s[CI, i], s[CJ, i])
+            delta_x, delta_y = _delta_of_cell(own, sheet, law, s[CI, i], s[CJ, i])
             if framed(own, 0):
                 turn = own.frame[0, place_in_row(sheet.lattice, s[CI, i], s[CJ, i]), int(s[CJ, i])]
                 eta_x, eta_y = turn[slot.FIRST], turn[slot.SECOND]
@@ -239,17 +237,13 @@ def _refract(own: OwnCells | None, sheet: Packed, law: Floats, s: Floats, m: int
 
 
 @exact
-def _law_of_cell(own: OwnCells, sheet: Packed, law: Floats, i: float, j: float) -> Four:
-    """δ_x, δ_y, η_x, η_y of a kept cell; see `CellLaws`."""
-    eta_x, eta_y = law[ETA_X], law[ETA_Y]
-    if own.change[0, slot.SIZES] >= 0.0:
-        eta_x = eta_y = own_size(sheet, own, 0, i, j)
+def _delta_of_cell(own: OwnCells, sheet: Packed, law: Floats, i: float, j: float) -> tuple[float, float]:
+    """δ of a kept cell; see `CellLaws`."""
     if own.change[0, slot.TABLE] >= 0.0:
-        delta_x, delta_y = tabled(sheet, own, 0, i, j)
-        return delta_x, delta_y, eta_x, eta_y
+        return tabled(sheet, own, 0, i, j)
     x, y = centre_of(grid_of(sheet.lattice), i, j)
     xx, xy, yx, yy = gradient_of(own, 0)
-    return _linear(xx, x, xy, y, law[DELTA_X]), _linear(yx, x, yy, y, law[DELTA_Y]), eta_x, eta_y
+    return _linear(xx, x, xy, y, law[DELTA_X]), _linear(yx, x, yy, y, law[DELTA_Y])
 
 
 @exact

@@ -112,13 +112,13 @@ def own_cells(changes: Sequence[VertexChange | None], frames: Sequence[Floats | 
 
 
 def own_laws(laws: CellLaws, lattice: Lattice) -> OwnCells:
-    """Pack the laws of cells: δ in place of the lens's offset, η in place of its size or of its curvatures."""
-    cells, frame, alike = lattice.cells(), None, laws.ratios is None or laws.ratios.ndim == 2
-    if laws.angles is not None or not alike:
+    """Pack the laws of cells: δ in place of the lens's offset, η in place of its curvatures."""
+    cells, frame = lattice.cells(), None
+    if laws.own_lenses:
         turn = laws.rotations_of(lattice, cells)
         axes = (laws.law.rotation if turn is None else turn).reshape(-1, 9)
         frame = _framed(lattice, cells, *laws.ratios_of(lattice, cells).T, 0.0, axes)
-    return own_cells([VertexChange(laws.gradient, laws.table, size=laws.ratios if alike else None)], [frame])
+    return own_cells([VertexChange(laws.gradient, laws.table)], [frame])
 
 
 def _framed(lattice: Lattice, cells: Ints, *columns: Floats | float) -> Floats:

@@ -374,9 +374,11 @@ def _cross(
         if first:
             _turn_in(face, s, m, offset)
         offset, lowest = (0.0, 0.0, 0.0), -2.0
-    if first and framed(own, f):
-        _meet_own(own, sheet, f, s, m, media[0], offset)
-    elif first and quadric:
+    if own is not None:
+        if first and framed(own, f):
+            meet_framed(sheet, own, f, s, m, media[0], offset)
+            first = False
+    if first and quadric:
         _meet_quadric(face, s, m, media[0], offset)
     elif first:
         _meet_biconic(faces, f, s, m, media[0], offset)
@@ -410,15 +412,6 @@ def _into_lens(own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int, o
     """Transform rays to the lens of each ray's own cell, where lenses vary from cell to cell."""
     if own is not None:
         to_own_lens(sheet, own, f, s, m, offset)
-
-
-@inlined
-def _meet_own(
-    own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int, index: float, offset: Vector
-) -> None:
-    """Meet the lens of each ray's own cell."""
-    if own is not None:
-        meet_framed(sheet, own, f, s, m, index, offset)
 
 
 @inlined
