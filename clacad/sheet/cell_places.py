@@ -269,7 +269,7 @@ class VertexChange:
 
     @property
     def framed(self) -> bool:
-        """Whether lenses have more of their own than place and size: axes, curvatures, heights but by `slope`."""
+        """Whether lenses have axes or curvatures of their own, or heights that `slope` does not give."""
         own = self.lift, self.aspect, self.rotation
         return any(self.climb) or any(one is not None for one in own)
 
