@@ -26,7 +26,6 @@ from clacad.advice.lever_trials import (
     settings,
     settled,
     size_of,
-    worst_slope,
 )
 from clacad.base.text import digits, plain, shown
 from clacad.base.types import Progress
@@ -211,7 +210,7 @@ def advise(design: Design, progress: Progress | None = None, judged: Judged | No
     from clacad.base.interactive import shown_progress
 
     judged = judge(design) if judged is None else judged
-    trials = Trials(design, TRIALS, shown_progress(progress), SECONDS, worst_slope(judged))
+    trials = Trials(design, TRIALS, shown_progress(progress), SECONDS)
     wanted = [*judged.failing, *judged.warning]
     found: list[Changes] = []
     try:

@@ -14,22 +14,14 @@ from math import ceil, inf, isfinite, log10
 from time import process_time
 from typing import Any, Final
 
-import numpy as np
-
-from clacad.advice.judged import POINT_RAYS, RAYS, Judged, judge, tight
+from clacad.advice.judged import Judged, judge, tight
 from clacad.base.text import plain
-from clacad.base.types import Pair2, Progress, silent
-from clacad.base.vectors import xy
-from clacad.checks.check import Check, CheckKind, kinds, wrong
+from clacad.base.types import Progress, silent
+from clacad.checks.check import Check, kinds, wrong
 from clacad.checks.levers import FORMS, WORDS, Lever
-from clacad.checks.light_kinds import LAW_BIAS, LAW_RMS, SPREAD, VIEWED
+from clacad.checks.light_kinds import VIEWED
 from clacad.design import Design, DesignError
-from clacad.design.sections import BODY, LATTICE, PAIR, AimedAt
-from clacad.prescription.aimed_cells import AimPoint
-from clacad.prescription.prescribe import prescribe
-from clacad.tracing.worst_cell import SeenCell
-from clacad.verification.light.law_checks import law_checks
-from clacad.verification.light.through_window import Lit, optics_of
+from clacad.design.sections import BODY, LATTICE, PAIR
 
 Changes = Mapping[str, Any]
 """Values by dotted key, as `Design.replace` takes them."""
@@ -52,9 +44,6 @@ CONIC_STEPS: Final = (0.25, 0.12, 0.06, 0.03)
 ROOM: Final = 1.3
 """A process's length is also tried at this factor of the limit: from 1.25 on it is no longer near."""
 
-
-OF_ONE_CELL: Final = (LAW_RMS, LAW_BIAS, SPREAD)
-"""Checks of an aimed sheet that its worst cell decides by itself."""
 
 INTENTS: Final = frozenset({LATTICE.aperture, BODY.border})
 """Keys that stay fixed where the design states them: the direction of its cells, and its flange."""
@@ -273,16 +262,13 @@ class Trials:
     most : Largest number of trials.
     progress : Called with the stage and the part of the trials made.
     seconds : Processor seconds after which no trial is begun.
-    slope : Slope of the light of the worst cell of an aimed sheet: `nearest` judges that cell first.
     """
 
     design: Design
     most: int
     progress: Progress = silent
     seconds: float = inf
-    slope: Pair2 | None = None
     made: dict[str, Judged | None] = field(default_factory=dict)
-    steered: dict[str, frozenset[CheckKind]] = field(default_factory=dict)
     _begun: float = field(default_factory=process_time)
 
     def judged(self, changes: Changes) -> Judged | None:
@@ -306,7 +292,7 @@ class Trials:
     @property
     def tried(self) -> int:
         """Designs that were tried."""
-        return len({*self.made, *self.steered})
+        return len(self.made)
 
     def knows(self, changes: Changes) -> bool:
         """Whether the design with these keys changed was tried."""
@@ -322,10 +308,7 @@ class Trials:
         """
 
         def does(k: int) -> bool:
-            changes = {**before, **settings[k]}
-            if self.slope is not None and self._misses(changes, checks, self.slope):
-                return False
-            judged = self.judged(changes)
+            judged = self.judged({**before, **settings[k]})
             return judged is not None and all(settled(judged, c) for c in checks)
 
         failed, stride = -1, 1
@@ -338,32 +321,6 @@ class Trials:
                 return {**before, **settings[here]}
             failed, stride = here, 2 * stride
         return None
-
-    def _misses(self, changes: Changes, checks: Iterable[Check], slope: Pair2) -> bool:
-        """Whether the cell for light of a slope alone misses a limit so far that the sheet does, too.
-
-        It is judged in the uniform sheet that is steered for that light. Its cells of array 2 are narrower or
-        wider than those of the aimed sheet by the separation over the viewer's distance, and aberrations grow
-        as the third power of a width: what misses a limit by less than the fourth is left to the whole sheet.
-        """
-        name = _name(changes)
-        if name not in self.steered:
-            self.steered[name] = frozenset()
-            asked = {LATTICE.aperture: list(slope), PAIR.offset: self.design.pair.offset or "traced"}
-            try:
-                design = self.design.replace({**changes, **asked})
-                window = prescribe(design)
-            except DesignError:
-                return False
-            assert isinstance(self.design.lattice.aperture, AimedAt)
-            room = (1.0 + window.thin.separation / abs(self.design.lattice.aperture.point[2])) ** 4
-            cell = SeenCell(window, window, np.zeros(2, dtype=np.int64))
-            seen = optics_of(design, window, cell.send, RAYS // 4, POINT_RAYS // 4)
-            light = (c for c in law_checks(Lit(design, window, window, seen)) if c.kind in OF_ONE_CELL)
-            self.steered[name] = frozenset(
-                c.kind for c in light if isinstance(c.value, float) and c.value > room * float(c.limit or inf)
-            )
-        return any(check.kind in self.steered[name] for check in checks)
 
     def shaped(self, before: Changes, settings: Sequence[Changes]) -> Changes | None:
         """Conic nearest to passing, among some settings and then finer ones; None if none can be built."""
@@ -381,16 +338,6 @@ class Trials:
 
     def _bad(self, changes: Changes) -> float:
         return badness(self.judged(changes), self.design)
-
-
-def worst_slope(judged: Judged) -> Pair2 | None:
-    """Slope of the light of the cell that fails most in an aimed sheet of one law; None for other sheets."""
-    design, aim = judged.design, judged.design.lattice.aperture
-    cells = [c.detail["cell"] for c in judged.failing if c.kind in OF_ONE_CELL and "cell" in c.detail]
-    alike = design.law_spec.varying is None and design.pair.focus is None and not design.pair.field_lens
-    if not (cells and alike and isinstance(aim, AimedAt)):
-        return None
-    return xy(AimPoint(aim.point).slopes(judged.window.centres(0, np.array(cells[0]))))
 
 
 def _name(changes: Changes) -> str:

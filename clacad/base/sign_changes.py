@@ -24,6 +24,10 @@ _MAX_DEPTH = 30  # intervals halve towards a square-root end (equator); 2^-30 of
 _PLATEAU = 1e-8  # a coefficient tail this small that no longer falls is rounding error
 
 
+HALVINGS = 64
+"""Halvings of a bracket at most."""
+
+
 def sign_changes(function: Function, noise: float) -> Floats:
     """Find where a function changes sign on the open interval (0, 1).
 
@@ -48,20 +52,29 @@ def sign_changes(function: Function, noise: float) -> Floats:
             high.append(knots[second])
         else:
             roots.append(0.5 * (knots[first + 1] + knots[second - 1]))
-    found = np.concatenate([np.asarray(roots), bisect(function, np.asarray(low), np.asarray(high))])
+    found = np.concatenate([np.asarray(roots), bisect(function, np.asarray(low), np.asarray(high), 8)])
     return np.sort(found[(found > 0.0) & (found < 1.0)])
 
 
-def bisect(function: Function, low: Floats, high: Floats) -> Floats:
-    """Halve brackets (n,) with ends of opposite sign down to the resolution of float64."""
+def bisect(function: Function, low: Floats, high: Floats, at_once: int = 1) -> Floats:
+    """Halve brackets (n,) with ends of opposite sign down to the resolution of float64.
+
+    at_once : Halvings in a row of which one call of the function gives the values at all middles that may be
+        reached, 2^at_once − 1 of each bracket; 1: those of all brackets, in their order.
+    """
     low, high = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
     if low.size == 0:
         return low
-    rising = function(low) < 0.0
-    for _ in range(64):
-        middle = 0.5 * (low + high)
-        below = (function(middle) < 0.0) == rising
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    rising, rows = function(low) < 0.0, np.arange(len(low))
+    for _ in range(HALVINGS // at_once):
+        ends = np.stack([low, *[low] * (2**at_once - 1), high], axis=1)
+        for step in 2 ** np.arange(at_once, 0, -1):
+            ends[:, step // 2 :: step] = 0.5 * (ends[:, :-1:step] + ends[:, step::step])
+        below = (function(ends[:, 1:-1].ravel()) < 0.0).reshape(len(low), -1) == rising[:, None]
+        at = np.zeros(len(low), dtype=np.intp)
+        for step in 2 ** np.arange(at_once - 1, -1, -1):
+            at += np.where(below[rows, at + step - 1], step, 0)
+        low, high = ends[rows, at], ends[rows, at + 1]
         if np.all(high - low <= np.spacing(np.maximum(np.abs(low), np.abs(high)))):
             break
     return np.asarray(0.5 * (low + high))

@@ -23,8 +23,6 @@ from clacad.light.compare import Comparison, change_with_shift
 from clacad.light.measure import FEWEST, Light, Send, measure, measure_each
 from clacad.optics.law import difference_of_laws
 from clacad.sheet.bundle import RequestedLaw, bundle, field_points
-from clacad.sheet.like_cell import like_cell
-from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.window import WALL, Window
 
 if TYPE_CHECKING:
@@ -202,22 +200,10 @@ class Grader:
         """Rms direction error of the exact surfaces (radians)."""
         return self._light.exact
 
-
-def _judged_cell(window: Window, field: float, centre: str) -> Window:
-    """A sheet of one cell: the central cell, or the worst candidate cell of a non-uniform sheet.
-
-    Candidates are the central cell and those with the most displaced lenses; the worst has the largest rms
-    error to the law.
-    """
-    tried = representative_cells(window, "forecast")
-    alone = [like_cell(window, cell, widest=False).with_cells((1, 1)) for cell in tried]
-    if len(alone) == 1:
-        return alone[0]
-    rms = [
-        measure(_exactly(one), bundle(one, POINT_RAYS, field, centre), RequestedLaw.of(one)).rms
-        for one in alone
-    ]
-    return alone[int(np.argmax(np.where(np.isnan(rms), inf, rms)))]
+    @property
+    def cell(self) -> str:
+        """The cell by which a non-uniform sheet is judged, in words."""
+        return self._light.cell
 
 
 def _exactly(window: Window) -> Send:
@@ -228,11 +214,17 @@ def _exactly(window: Window) -> Send:
 
 
 class _Light:
-    """Bundles of the checks over one cell, and their light through the exact surfaces."""
+    """Bundles of the checks over the cell by which a sheet is judged, and their light by exact surfaces.
+
+    cell : That cell in words, with the spread over the others; "" for a uniform sheet.
+    """
 
     def __init__(self, window: Window, field: float, centre: str) -> None:
-        self.window, self._field, self._centre = _judged_cell(window, field, centre), field, centre
-        self._law = RequestedLaw.of(self.window)
+        from clacad.tracing.worst_cell import worst_cell
+
+        seen = worst_cell(window, field)
+        self.window, self.cell = seen.like.with_cells((1, 1)), seen.words
+        self._field, self._centre, self._law = field, centre, RequestedLaw.of(self.window)
 
     @cached_property
     def _truth(self) -> Light:

@@ -166,7 +166,7 @@ class Sizes:
 
     def finest(self, format: str) -> int:
         """Finest grid of "auto" that fits, or the coarsest grid if none fits."""
-        return max((quads for quads in POWERS if self.fits(format, quads)), default=POWERS[0])
+        return next((quads for quads in reversed(POWERS) if self.fits(format, quads)), POWERS[0])
 
     def _drawn(self, format: str, quads: int) -> Forecast:
         """Forecast of a file on a coarse grid, computed once."""
@@ -274,7 +274,12 @@ def with_prospects(
 
     A preview whose facets were chosen by default counts as declared: no master of that format was requested.
     """
-    return [replace(row, prospect=_prospect(grader, sizes, row, request)) for row in rows]
+    found = (replace(row, prospect=_prospect(grader, sizes, row, request)) for row in rows)
+    said = f"light forecast of {grader.cell}" if grader.cell else ""
+    return [
+        replace(row, note="; ".join(filter(None, (row.note, said)))) if row.quads is not None else row
+        for row in found
+    ]
 
 
 def _prospect(grader: Grader, sizes: Sizes, row: Forecast, request: Request) -> Prospect:

@@ -29,7 +29,7 @@ from clacad.sheet.vignetting import half_field, thin_cells
 from clacad.sheet.window import Window
 from clacad.tracing.facets.telescopelet import FacetBody, trace_facets
 from clacad.tracing.trace import trace
-from clacad.tracing.worst_cell import SeenCell, tried_cells, worst_of
+from clacad.tracing.worst_cell import SeenCell, tried_cells
 
 CELL_RAYS = 4096
 RAYS_A_FACET, MOST_RAYS = 32, 65536
@@ -173,9 +173,7 @@ def lit_cells(window: Window, field: float) -> tuple[tuple[int, int], ...]:
     """
     if window.uniform:
         return tuple((int(i), int(j)) for i, j in representative_cells(window, "file"))
-    tried = tried_cells(window, field)
-    cells = [worst_of(tried, field).cell, *(one.cell for one in tried)]
-    return tuple(dict.fromkeys((int(i), int(j)) for i, j in cells))
+    return tuple(one.index for one in tried_cells(window, field))
 
 
 def seen_cell(window: Window, cell: tuple[int, int]) -> SeenCell:

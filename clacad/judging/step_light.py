@@ -26,7 +26,7 @@ from clacad.sheet.like_cell import lit_by
 from clacad.sheet.vignetting import share, thin_cells
 from clacad.sheet.window import Body, Window, lifted, optical_tile
 from clacad.tracing.facets.telescopelet import ExactFace, FacetBody, trace_facets
-from clacad.tracing.worst_cell import tried_cells, worst_of
+from clacad.tracing.worst_cell import tried_cells
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -78,15 +78,12 @@ def light_of_cells(
     """
     if window.uniform:
         return measure_light(design, window, send, rays, point_rays(window)), [], []
-    tried = tried_cells(window, design.check.field)
-    worst = worst_of(tried, design.check.field)
+    worst, *tried = tried_cells(window, design.check.field)
     light = measure_light(
         design, worst.like, lambda lit: send(worst.placed(lit)), rays, POINT_RAYS, exact=worst.send
     )
     rms, cells = [light.light.rms], [worst.index]
     for one in tried:
-        if (one.cell == worst.cell).all():
-            continue
         lit = bundle(one.like, CELL_RAYS, design.check.field)
         found = Light(lit, send(one.placed(lit)), RequestedLaw.of(one.like), fewest=CELL_RAYS // 4)
         rms.append(np.inf if found.rms != found.rms else found.rms)

@@ -20,7 +20,7 @@ from clacad.base.arrays import distinct
 from clacad.base.types import Bools, Floats, Ints
 from clacad.optics.surface.intersection import meet
 from clacad.sheet.pattern import Step
-from clacad.sheet.window import Body, Face, Window, lens_height, lenses_of
+from clacad.sheet.window import Body, Face, Window, lens_height, lenses_of, sag_by_itself
 from clacad.topology.borders import roots_between
 from clacad.topology.complex_parts import CellComplex, Tiling, linked
 
@@ -227,11 +227,12 @@ class CellLevels:
 
 def _over_apex(face: Face, x: Floats, y: Floats) -> Floats:
     """Height of a lens above its apex over points (...) relative to it; equal points give equal bits."""
-    if face.untilted:
-        alone = replace(face, vertex=(0.0, 0.0, 0.0))
-        return lens_height(alone, x.ravel(), y.ravel()).reshape(x.shape)
     x_axis, y_axis, up = np.moveaxis(face.rotation, -2, 0)
     start = x.reshape(-1, 1) * x_axis + y.reshape(-1, 1) * y_axis
+    if face.upright:
+        sag = sag_by_itself(face.surface, start[:, 0], start[:, 1])
+        if sag is not None:
+            return sag.reshape(x.shape)
     met = meet(face.surface, start, np.broadcast_to(up, start.shape).copy())
     with np.errstate(invalid="ignore"):
         above = (met.gradient * up).sum(axis=-1) > 0.0

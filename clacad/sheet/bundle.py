@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.sobol import sobol
-from clacad.base.types import Floats
+from clacad.base.types import Floats, Ints
 from clacad.base.vectors import axes_near
 from clacad.optics.rays import Rays
 from clacad.sheet.representative_cells import central_cell
-from clacad.sheet.vignetting import aperture_slope
+from clacad.sheet.vignetting import aperture_slope, aperture_slopes
 
 if TYPE_CHECKING:
     from clacad.optics.law import Law
@@ -93,6 +93,21 @@ def bundle(
     local = aperture * window.lattice.over_cell(points[:, :2])
     direction = cone(axis, field, points[:, 2:]) if field > 0.0 else np.broadcast_to(axis, (count, 3)).copy()
     return launched(window, local, direction, chosen, axis, field, aperture)
+
+
+def bundles(window: Window, cells: Ints, count: int, field: float) -> tuple[Rays, Floats]:
+    """`count` rays of a bundle over each of some cells (n, 2), each lit in its own field, cell by cell.
+
+    Returns the rays, and the points (n count, 2), lengths, where they cross z = 0, from their cells' centres.
+    """
+    height, points = window.thin.offset[2], sobol(count, 4)
+    local = np.tile(window.lattice.over_cell(points[:, :2]), (len(cells), 1))
+    rise = np.reshape(window.thin.lenses(1, window.lattice, cells).apex[2], (-1, 1))
+    slopes = aperture_slopes(window, cells) * (height / (height + rise))
+    middles = np.column_stack([slopes, np.ones(len(cells))])
+    middles /= np.linalg.norm(middles, axis=1)[:, None]
+    direction = np.concatenate([cone(one, field, points[:, 2:]) for one in middles])
+    return rays_across(window, np.repeat(window.centres(0, cells), count, axis=0) + local, direction), local
 
 
 def launched(

@@ -268,6 +268,12 @@ class VertexChange:
         return self.lift is None and not any((*self.slope, *self.climb))
 
     @property
+    def framed(self) -> bool:
+        """Whether lenses have axes or curvatures of their own, or heights that `slope` does not give."""
+        own = self.lift, self.aspect, self.rotation
+        return any(self.climb) or any(one is not None for one in own)
+
+    @property
     def mirrored(self) -> VertexChange:
         """Displacements of the lenses of a sheet turned over in z."""
         (a, b), (c, d) = self.slope, self.climb
@@ -419,7 +425,7 @@ def places_in_rows(lattice: Lattice, index: Ints) -> Ints:
     return index[..., 0] + index[..., 1] // 2 if lattice.hexagonal else index[..., 0]
 
 
-def as_table(lattice: Lattice, cells: Ints, each: Floats, beyond: float = 0.0) -> Floats:
+def as_table(lattice: Lattice, cells: Ints, each: Floats, beyond: float | Floats = 0.0) -> Floats:
     """Table (n1, n2, ...) with `each` (n, ...) at the cells (n, 2), and `beyond` at others."""
     table = np.full((*lattice.count, *each.shape[1:]), beyond)
     table[places_in_rows(lattice, cells), cells[:, 1]] = each

@@ -31,7 +31,7 @@ from clacad.sheet.window import (
 if TYPE_CHECKING:
     from clacad.sheet.lattice import Lattice
 
-Purpose = Literal["displaced", "drawing", "facets", "file", "forecast", "light", "rounding", "sample"]
+Purpose = Literal["displaced", "drawing", "facets", "file", "light", "rounding", "sample"]
 """What cells are chosen for; see `representative_cells`."""
 
 ALONG = 9
@@ -61,9 +61,8 @@ def representative_cells(window: Window, purpose: Purpose, count: int = SAMPLED)
     purpose : str. displaced: of a non-uniform sheet, those whose lenses are displaced farthest, smallest,
         largest or steepest. drawing: the first, the middle, and the one whose lens lies farthest from its
         middle. facets, light: displaced and sample, each once, in order. file: of a uniform sheet, the
-        middle, the corners, the middles of the sides, and a few at random. forecast: the middle, then
-        displaced for a non-uniform sheet. rounding: one far from the middle, where coordinates are rounded
-        most. sample: spread evenly over the sheet.
+        middle, the corners, the middles of the sides, and a few at random. rounding: one far from the
+        middle, where coordinates are rounded most. sample: spread evenly over the sheet.
     count : Most cells of a sample.
     """
     return _RULES[purpose](window, count)
@@ -306,7 +305,6 @@ _RULES: Mapping[Purpose, Callable[[Window, int], Ints]] = {
     ),
     "facets": lambda window, count: _displaced_and_sampled(window, count),
     "file": lambda window, _: _of_file(window),
-    "forecast": lambda window, _: _middle_and_displaced(window),
     "light": lambda window, count: _displaced_and_sampled(window, count),
     "rounding": lambda window, _: _far_from_middle(window),
     "sample": lambda window, count: _sampled(window, count),
@@ -315,11 +313,6 @@ _RULES: Mapping[Purpose, Callable[[Window, int], Ints]] = {
 
 def _displaced_and_sampled(window: Window, count: int) -> Ints:
     return np.unique(np.concatenate([_displaced(window), _sampled(window, count)]), axis=0)
-
-
-def _middle_and_displaced(window: Window) -> Ints:
-    middle = np.array([central_cell(window)], dtype=np.int64)
-    return middle if window.uniform else np.concatenate([middle, _displaced(window)])
 
 
 def outermost_cells(window: Window, face: Face) -> Ints:

@@ -105,6 +105,13 @@ class Face:
         return bool(np.array_equal(self.rotation, IDENTITY))
 
     @property
+    def upright(self) -> bool:
+        """Whether the lens axis is exactly the sheet's normal; the lens may be turned about it."""
+        turn = self.rotation
+        level = not (turn[..., 2, :2].any() or turn[..., :2, 2].any())
+        return level and bool((turn[..., 2, 2] == 1.0).all())
+
+    @property
     def own_axes(self) -> bool:
         """Whether each cell's lens has axes of its own."""
         return self.change is not None and self.change.rotation is not None
@@ -591,13 +598,21 @@ def lens_height(face: Face, x: Floats, y: Floats) -> Floats:
     keeps the relative accuracy of the height above the apex, even for very flat lenses.
     """
     face = face.simplified
-    if face.untilted:  # upright: its sag needs no ray
-        at = np.asarray(x) - face.vertex[0], np.asarray(y) - face.vertex[1]
-        sag = upright_sag(face.surface, *at) if isinstance(face.surface, Quadric) else face.surface.sag(*at)
+    if face.upright:  # its sag needs no ray
+        u, v = np.asarray(x) - face.vertex[0], np.asarray(y) - face.vertex[1]
+        if not face.untilted:
+            start = np.stack(np.broadcast_arrays(u, v, 0.0), axis=-1)
+            u, v, _ = seen_along(start.reshape(-1, 3), face.rotation).T.reshape(3, *start.shape[:-1])
+        sag = sag_by_itself(face.surface, u, v)
         if sag is not None:
             return np.asarray(face.vertex[2] + sag)
     z, _ = lens_height_and_normal(face, x, y)
     return z
+
+
+def sag_by_itself(surface: Surface, x: Floats, y: Floats) -> Floats | None:
+    """Heights (...) of a surface over points (...), as by rays along its axis; None where it needs these."""
+    return upright_sag(surface, x, y) if isinstance(surface, Quadric) else surface.sag(x, y)
 
 
 def lens_height_and_normal(face: Face, x: Floats, y: Floats) -> tuple[Floats, Floats]:

@@ -103,26 +103,15 @@ def _rate(rung: Rung) -> Rung:
 
 
 def has_kernel(rung: Rung, window: Window) -> bool:
-    """Whether a rung of a sheet has kernels: arrays not turned, lenses that do not rise with the places of
-    their cells, no cells with an η_x and an η_y or lens axes of their own, and rung thin without a field lens
-    or an opaque line.
+    """Whether a rung of a sheet has kernels: exact surfaces of arrays that are not turned, and rung thin
+    without a field lens, an opaque line, or lenses with axes, two sizes or heights of their own.
     """
-    laws = window.cell_laws
-    if laws is not None and (laws.angles is not None or (laws.ratios is not None and laws.ratios.ndim == 3)):
-        return False
     if rung == "law":
         return True
-    changes = [window.thin.change] if rung == "thin" else [face.change for face in window.faces]
-    if any(
-        change is not None
-        and (
-            any(change.climb) or any(one is not None for one in (change.lift, change.aspect, change.rotation))
-        )
-        for change in changes
-    ):
-        return False
     if rung == "thin":
-        return not (window.thin.field or window.thin.turn or window.land.lined >= 0)
+        pair = window.thin
+        own = any(change is not None and change.framed for change in (pair.change, pair.change_1))
+        return not (own or pair.field or pair.turn or window.land.lined >= 0)
     return not any(place.turn for place in window.placements)
 
 

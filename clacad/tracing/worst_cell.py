@@ -13,16 +13,14 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from clacad.base.sobol import sobol
 from clacad.base.text import mrad_text
 from clacad.base.types import Floats, Ints, Pair2
 from clacad.light.measure import Light, Weights, measure, rms_angles
 from clacad.optics.law import angle_between
 from clacad.optics.rays import Fate, Rays, TraceResult, joined_results
-from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, cone, rays_across
+from clacad.sheet.bundle import Bundle, RequestedLaw, bundle, bundles
 from clacad.sheet.like_cell import heated, like_cell
 from clacad.sheet.representative_cells import SAMPLED, central_cell, representative_cells
-from clacad.sheet.vignetting import aperture_slopes
 from clacad.sheet.window import Window
 from clacad.tracing.trace import SheetTracer, trace
 
@@ -167,16 +165,17 @@ def measure_light(
 
 
 def worst_cell(window: Window, field: float) -> SeenCell:
-    """The tried cell whose light of a cone (half angle `field`, radians) leaves farthest from the law."""
-    return worst_of(tried_cells(window, field), field)
+    """The cell by which a sheet is judged: the first of `tried_cells`."""
+    return tried_cells(window, field)[0]
 
 
 def tried_cells(window: Window, field: float) -> list[SeenCell]:
     """Cells that a sheet is judged by: the one of a uniform sheet; else a sample, the outermost and the worst
     cells.
 
-    Up to `MOST_SCREENED` cells all are screened by few rays. Those with the largest rms direction error are
-    added.
+    First is the cell through which almost no light of a cone (half angle `field`, radians) gets, else whose
+    light leaves farthest (rms) from the law. Up to `MOST_SCREENED` cells all are screened by few rays. Those
+    with the largest rms direction error are added.
     """
     if window.uniform:
         return [SeenCell(window, window, np.array(central_cell(window)))]
@@ -184,7 +183,14 @@ def tried_cells(window: Window, field: float) -> list[SeenCell]:
     if SAMPLED < window.lattice.cell_count <= MOST_SCREENED:
         cells = np.concatenate([cells, _screened(window, field)])
     cells = np.unique(cells, axis=0)
-    return [SeenCell(window, like_cell(window, cell, widest=False), cell, len(cells)) for cell in cells]
+    error = _rms_errors(window, cells, field, TRIED_RAYS)
+    order = np.argsort(-error, kind="stable")
+    known = error[order[1:]][np.isfinite(error[order[1:]])]
+    others = (float(known.min()), float(known.max())) if len(known) else None
+    seen = [
+        SeenCell(window, like_cell(window, cell, widest=False), cell, len(cells)) for cell in cells[order]
+    ]
+    return [replace(seen[0], others=others), *seen[1:]]
 
 
 def _screened(window: Window, field: float) -> Ints:
@@ -192,17 +198,6 @@ def _screened(window: Window, field: float) -> Ints:
     every = window.lattice.cells()
     error = _rms_errors(window, every, field, SCREENING_RAYS)
     return np.asarray(every[np.argsort(-error, kind="stable")[:WORST]])
-
-
-def worst_of(tried: list[SeenCell], field: float) -> SeenCell:
-    """The cell through which almost no light gets, else whose light leaves farthest (rms) from the law."""
-    if len(tried) == 1:
-        return tried[0]
-    error = _rms_errors(tried[0].window, np.array([one.cell for one in tried]), field, TRIED_RAYS)
-    worst = int(np.argmax(error))
-    others = np.delete(error, worst)
-    others = others[np.isfinite(others)]
-    return replace(tried[worst], others=(float(others.min()), float(others.max())) if len(others) else None)
 
 
 def _rms_errors(window: Window, cells: Ints, field: float, count: int) -> Floats:
@@ -226,13 +221,6 @@ def through_all(
     window: Window, cells: Ints, field: float, count: int = TRIED_RAYS
 ) -> tuple[Rays, TraceResult]:
     """Trace `count` rays through each of some cells (n, 2); the result is without the requested focus."""
-    height, points = window.thin.offset[2], sobol(count, 4)
-    local = np.tile(window.lattice.over_cell(points[:, :2]), (len(cells), 1))
-    rise = np.reshape(window.thin.lenses(1, window.lattice, cells).apex[2], (-1, 1))
-    slopes = aperture_slopes(window, cells) * (height / (height + rise))
-    middles = np.column_stack([slopes, np.ones(len(cells))])
-    middles /= np.linalg.norm(middles, axis=1)[:, None]
-    direction = np.concatenate([cone(one, field, points[:, 2:]) for one in middles])
-    sent = rays_across(window, np.repeat(window.centres(0, cells), count, axis=0) + local, direction)
+    sent, local = bundles(window, cells, count, field)
     result = trace(window, sent, path="size")
     return sent, replace(result, direction=RequestedLaw.of(window).without_focus(local, result.direction))

@@ -134,7 +134,7 @@ def test_no_rounding_is_told_of_a_sheet_that_is_confocal():
     window = prescribe(design)
     checks = [
         *design_checks(design, window, feasibility(window)),
-        *confocality_check(Lit(design, window, window, None)),
+        *confocality_check(Lit(design, window, window, None, None)),
     ]
     told = checks_text([check for check in checks if check.id in ("residual", "confocality")])
     assert "along the axis ray the recipe leaves 0 mrad" in told

@@ -49,14 +49,15 @@ def listed(keys):
 
 
 def tabled(keys, etas):
-    """The sheet of a table whose cells (i, j) have the η, δx and δy that `etas` gives for them."""
+    """The sheet of a table whose cells (i, j) have the δx, δy and η, or η_x, η_y, φ and ψ, that `etas` gives for them."""
     with tempfile.TemporaryDirectory() as folder:
         design = Design.from_dict(BASE).replace(keys)
         cells = prescribe(design).lattice.cells().tolist()
-        rows = ["i,j,delta_x,delta_y,eta"]
+        rows = []
         for i, j in cells:
-            eta, x, y = etas(i, j)
-            rows.append(f"{i},{j},{x!r},{y!r},{eta!r}")
+            *own, x, y = etas(i, j)
+            rows.append(",".join(map(repr, (i, j, x, y, *own))))
+        rows.insert(0, "i,j,delta_x,delta_y," + ("eta" if len(own) == 1 else "eta_x,eta_y,phi,psi"))
         (Path(folder) / "cells.csv").write_text("\n".join(rows) + "\n")
         text = design.canonical_toml().replace("[law]\n", '[law]\nvarying = {table = "cells.csv"}\n')
         (Path(folder) / "design.toml").write_text(text)
@@ -71,6 +72,18 @@ def spread(low, high):
 def one_beside(cell, eta, others=-1.0):
     """η of one cell, and of all others."""
     return lambda i, j: (eta if (i, j) == cell else others, 1e-3 * i, 0.0)
+
+
+def turning(by):
+    """η of two axes and lens axes that turn by an angle (degrees) from cell to cell; none in the middle cell."""
+    return lambda i, j: (
+        -0.9 - 0.01 * i,
+        -1.1 + 0.005 * j,
+        by * (i - 10),
+        by * (j - 10),
+        2e-3 * (i - 10),
+        -1e-3 * (j - 10),
+    )
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,11 @@ from clacad.tracing.compiled.block import (
     DY,
     DZ,
     GOOD,
+    GX,
+    GY,
+    GZ,
     PATH,
+    ROOT,
     SIZE,
     XL,
     YL,
@@ -41,7 +45,7 @@ from clacad.tracing.compiled.block import (
     lanes,
 )
 from clacad.tracing.compiled.cells import hexagon_steps, in_zone, kept, locate, relocate, to_array
-from clacad.tracing.compiled.face import height, lens_roots
+from clacad.tracing.compiled.face import height, lens_roots, meet, to_lens, to_sheet
 from clacad.tracing.compiled.packing import OwnCells, Packed
 from clacad.tracing.compiled.records import Ray, Vector
 
@@ -80,6 +84,29 @@ def own_size(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> float:
     if which < 0 or not kept(sheet.lattice, sheet.rows, i, j):
         return 1.0
     return float(own.size[which, place_in_row(sheet.lattice, i, j), int(j)])
+
+
+@exact
+def own_frame(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> float:
+    """Write the numbers of a cell's lens into the row of face f, and return its rise besides its offset's."""
+    which, face = int(own.change[f, slot.FRAME]), sheet.faces[f]
+    if which < 0:
+        return 0.0
+    row = own.frame[which, 0, 0]
+    if kept(sheet.lattice, sheet.rows, i, j):
+        row = own.frame[which, place_in_row(sheet.lattice, i, j), int(j)]
+    face[slot.CY], face[slot.KX] = row[slot.FIRST], row[slot.SECOND]
+    for k in range(9):
+        face[slot.R0 + k] = row[slot.AXES + k]
+    return float(row[slot.LIFT])
+
+
+@inlined
+def framed(own: OwnCells | None, f: int) -> bool:
+    """Whether the lenses of face f have frames of their own."""
+    if own is None:
+        return False
+    return bool(own.change[f, slot.FRAME] >= 0.0)
 
 
 @inlined
@@ -147,6 +174,7 @@ def _own_lens_at(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> Pl
     vx, vy, vz = sheet.faces[f, slot.VX], sheet.faces[f, slot.VY], sheet.faces[f, slot.VZ]
     ax, ay = own_offset(sheet, own, f, i, j)
     rise = ax * own.change[f, slot.RISE_X] + ay * own.change[f, slot.RISE_Y]
+    rise += own_frame(sheet, own, f, i, j)
     return vx + ax, vy + ay, vz + rise, own_size(sheet, own, f, i, j)
 
 
@@ -375,8 +403,9 @@ def to_own_lens(sheet: Packed, own: OwnCells, f: int, s: Floats, m: int, offset:
     """Transform rays to the lens of each ray's own cell, where lenses vary from cell to cell.
 
     Positions plus the offset are relative to the face's vertex; lengths are in units of the lens's size.
+    Lenses with frames of their own: see `meet_framed`.
     """
-    if own.change[f, slot.CHANGES] == 0.0:
+    if own.change[f, slot.CHANGES] == 0.0 or framed(own, f):
         return
     x, y, ax, ay, ci, cj = lanes(s, (X, Y, AX, AY, CI, CJ))
     grid, gradient = grid_of(sheet.lattice), gradient_of(own, f)
@@ -431,7 +460,7 @@ def _add_tabled(sheet: Packed, table: Floats, s: Floats, m: int) -> None:
 @exact
 def from_own_lens(own: OwnCells, f: int, s: Floats, m: int, offset: Vector) -> None:
     """Undo `to_own_lens`."""
-    if own.change[f, slot.CHANGES] == 0.0:
+    if own.change[f, slot.CHANGES] == 0.0 or framed(own, f):
         return
     x, y, ax, ay = lanes(s, (X, Y, AX, AY))
     if _level(own, f):
@@ -446,3 +475,31 @@ def from_own_lens(own: OwnCells, f: int, s: Floats, m: int, offset: Vector) -> N
         y[i] = (y[i] + oy) * size[i] + ay[i] - oy
         z[i] = (z[i] + oz) * size[i] + (ax[i] * rise_x + ay[i] * rise_y) - oz
         path[i] *= size[i]
+
+
+@exact
+def meet_framed(
+    sheet: Packed, own: OwnCells, f: int, s: Floats, m: int, index: float, offset: Vector
+) -> None:
+    """Carry rays to the lens of each ray's own cell, where lenses have frames of their own.
+
+    Positions plus the offset are relative to the face's vertex, afterwards without it; normals are kept.
+    """
+    faces, (ox, oy, oz) = sheet.faces, offset
+    vx, vy, vz = faces[f, slot.VX], faces[f, slot.VY], faces[f, slot.VZ]
+    for i in range(m):
+        if not s[GOOD, i] > 0.0:
+            continue
+        ax, ay, az, size = _own_lens_at(sheet, own, f, s[CI, i], s[CJ, i])
+        ax, ay, az = ax - vx, ay - vy, az - vz
+        x, y, z = (s[X, i] + ox - ax) / size, (s[Y, i] + oy - ay) / size, (s[Z, i] + oz - az) / size
+        x, y, z = to_lens(faces, f, x, y, z)
+        u, v, w = to_lens(faces, f, s[DX, i], s[DY, i], s[DZ, i])
+        t, x, y, z, gx, gy, gz, s[ROOT, i] = meet(faces, f, x, y, z, u, v, w)
+        x, y, z = to_sheet(faces, f, x, y, z)
+        gx, gy, gz = to_sheet(faces, f, gx, gy, gz)
+        s[X, i], s[Y, i], s[Z, i] = size * x + ax, size * y + ay, size * z + az
+        s[GX, i], s[GY, i], s[GZ, i] = gx, gy, gz
+        s[PATH, i] += index * (size * t)
+        if not gz > 0.0:
+            s[GOOD, i] = 0.0

@@ -103,8 +103,7 @@ def trace_chunk(
     """
     s, carried, scratch = np.zeros((SCRATCH, BLOCK)), np.empty(BLOCK), new_scratch()
     lines, media = len(sheet.media) // (len(sheet.faces) + 1), np.empty(len(sheet.faces) + 1)
-    faces, bodies, lat, losses = sheet.faces, sheet.bodies, sheet.lattice, sheet.losses
-    lit = Packed(faces, bodies, lat, sheet.rows, media, losses, sheet.edges, sheet.lattices, sheet.own)
+    lat, lit = sheet.lattice, _for_one_thread(sheet, media)
     waiting, counts = np.empty((lines, WAITING + BLOCK), dtype=np.intp), np.zeros(lines, dtype=np.intp)
     rows, walked = np.empty(BLOCK, dtype=np.intp), 0
     shared = lines > 1 and tiles is None
@@ -117,7 +116,7 @@ def trace_chunk(
                 rows[k] = block[k] + line * len(start)
             if line == 0 or not shared:
                 load_block(block, start, ray, s)
-                launch_block(lat, bodies[0], s, m)
+                launch_block(lat, sheet.bodies[0], s, m)
                 copy_row(lane(s, PATH), carried, m)
             array = straight(tiles, lit, s, rows[:m], out.hits, out.turns, carried, line if shared else -1)
             store_block(lit, s, rows[:m], array, out)
@@ -127,6 +126,14 @@ def trace_chunk(
                 _walk(tiles, None, lit, waiting[line, : counts[line]], start, ray, out, scratch)
                 walked, counts[line] = walked + counts[line], 0
     return walked
+
+
+@making
+def _for_one_thread(sheet: Packed, media: Floats) -> Packed:
+    """The sheet with other media, and faces into which the lens of the cell in hand is written."""
+    bodies, lat, edges = sheet.bodies, sheet.lattice, sheet.edges
+    faces = sheet.faces.copy()
+    return Packed(faces, bodies, lat, sheet.rows, media, sheet.losses, edges, sheet.lattices, sheet.own)
 
 
 @owning
@@ -142,6 +149,7 @@ def straight_chunk_single(
     carried: Singles = np.empty(BLOCK, dtype=np.float32)
     s: Singles = np.zeros((SCRATCH, BLOCK), dtype=np.float32)
     none: Singles = np.empty((0, 0, 3), dtype=np.float32)
+    lit = _for_one_thread(rounded, rounded.media)
     for first in range(0, len(chosen), BLOCK):
         block = chosen[first : first + BLOCK]
         m = len(block)
@@ -150,7 +158,7 @@ def straight_chunk_single(
         for row in LAUNCHED:
             copy_row(wide[row], s[row], m)
         copy_row(lane(s, PATH), carried, m)
-        array = straight(None, rounded, s, block, none, none, carried, -1)
+        array = straight(None, lit, s, block, none, none, carried, -1)
         for row in ARRIVED:
             copy_row(s[row], wide[row], m)
         store_block(sheet, wide, block, array, out)

@@ -21,7 +21,14 @@ from clacad.light.sums import LARGE, ordinary
 from clacad.optics.law import law_numbers
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.array_cells import centre_of, gradient_of, grid_of, own_size, tabled
+from clacad.tracing.compiled.array_cells import (
+    centre_of,
+    framed,
+    gradient_of,
+    grid_of,
+    place_in_row,
+    tabled,
+)
 from clacad.tracing.compiled.block import (
     BLOCK,
     CI,
@@ -60,7 +67,6 @@ from clacad.tracing.compiled.threads import in_arrays, over_threads
 from clacad.tracing.layout import Layout
 from clacad.tracing.ledger import Ledger
 
-Four = tuple[float, float, float, float]
 Rows3 = tuple[int, int, int]
 BEFORE, BEHIND = (DX, DY, DZ), (LEFT_X, LEFT_Y, ROOT)
 """Rows of a block with the directions before and behind the sheet."""
@@ -152,7 +158,7 @@ def trace_law_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) ->
 def _ordinary(own: OwnCells) -> bool:
     """Whether compiled code can hold the numbers of all laws; see `light.sums.ordinary`."""
     largest = max(np.abs(one).max(initial=0.0) for one in own)
-    return bool(largest < LARGE and np.abs(own.size).min(initial=1.0) > 1.0 / LARGE)
+    return bool(largest < LARGE and np.abs(own.frame[..., : slot.LIFT]).min(initial=1.0) > 1.0 / LARGE)
 
 
 def sheet_plane(layout: Layout) -> Packed:
@@ -160,7 +166,7 @@ def sheet_plane(layout: Layout) -> Packed:
     laws = layout.window.cell_laws
     sheet = pack_array_1(layout)
     if laws is not None:
-        sheet = sheet._replace(own=own_laws(laws))
+        sheet = sheet._replace(own=own_laws(laws, layout.lattice))
     return sheet._replace(
         faces=np.zeros((1, slot.FACE_NUMBERS)), bodies=np.zeros((1, slot.BODY_NUMBERS)), media=np.ones(3)
     )
@@ -214,7 +220,13 @@ def _refract(own: OwnCells | None, sheet: Packed, law: Floats, s: Floats, m: int
         if own is not None:
             if not s[GOOD, i] > 0.0:
                 continue
-            delta_x, delta_y, eta_x, eta_y = _law_of_cell(own, sheet, law, s[CI, i], s[CJ, i])
+            delta_x, delta_y = _delta_of_cell(own, sheet, law, s[CI, i], s[CJ, i])
+            if framed(own, 0):
+                turn = own.frame[0, place_in_row(sheet.lattice, s[CI, i], s[CJ, i]), int(s[CJ, i])]
+                eta_x, eta_y = turn[slot.FIRST], turn[slot.SECOND]
+                a, b, c = turn[slot.AXES], turn[slot.AXES + 1], turn[slot.AXES + 2]
+                d, e, f = turn[slot.AXES + 3], turn[slot.AXES + 4], turn[slot.AXES + 5]
+                g, h, k = turn[slot.AXES + 6], turn[slot.AXES + 7], turn[slot.AXES + 8]
         u, v, w = dx[i], dy[i], dz[i]
         x, y, z = (a * u + d * v) + g * w, (b * u + e * v) + h * w, (c * u + f * v) + k * w
         sure[i] = z - NEAR * (abs(u) + abs(v) + abs(w))
@@ -225,17 +237,13 @@ def _refract(own: OwnCells | None, sheet: Packed, law: Floats, s: Floats, m: int
 
 
 @exact
-def _law_of_cell(own: OwnCells, sheet: Packed, law: Floats, i: float, j: float) -> Four:
-    """δ_x, δ_y, η_x, η_y of a kept cell; see `CellLaws`."""
-    eta_x, eta_y = law[ETA_X], law[ETA_Y]
-    if own.change[0, slot.SIZES] >= 0.0:
-        eta_x = eta_y = own_size(sheet, own, 0, i, j)
+def _delta_of_cell(own: OwnCells, sheet: Packed, law: Floats, i: float, j: float) -> tuple[float, float]:
+    """δ of a kept cell; see `CellLaws`."""
     if own.change[0, slot.TABLE] >= 0.0:
-        delta_x, delta_y = tabled(sheet, own, 0, i, j)
-        return delta_x, delta_y, eta_x, eta_y
+        return tabled(sheet, own, 0, i, j)
     x, y = centre_of(grid_of(sheet.lattice), i, j)
     xx, xy, yx, yy = gradient_of(own, 0)
-    return _linear(xx, x, xy, y, law[DELTA_X]), _linear(yx, x, yy, y, law[DELTA_Y]), eta_x, eta_y
+    return _linear(xx, x, xy, y, law[DELTA_X]), _linear(yx, x, yy, y, law[DELTA_Y])
 
 
 @exact

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from math import sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -10,10 +10,10 @@ import numpy as np
 
 from clacad.base.types import Floats, Ints
 from clacad.optics.surface.sag_and_normal import EvenPolynomial, Quadric, Surface
-from clacad.sheet.cell_places import VertexChange
+from clacad.sheet.cell_places import VertexChange, as_table
 from clacad.sheet.edge_columns import EDGE_NUMBERS
 from clacad.sheet.face_order import lined_array, media_of
-from clacad.sheet.lattice import runs
+from clacad.sheet.lattice import Lattice, runs
 from clacad.tracing.compiled.records import MOST_ARRAYS
 
 if TYPE_CHECKING:
@@ -65,47 +65,83 @@ LATTICE_NUMBERS = BETWEEN + 4 * MOST_ARRAYS * MOST_ARRAYS
 NO_BAFFLE = -1.0
 
 # Columns of a face's row in `OwnCells.change`.
-CHANGES, XX, XY, YX, YY, TABLE, RISE_X, RISE_Y, SIZES = range(9)
+CHANGES, XX, XY, YX, YY, TABLE, RISE_X, RISE_Y, SIZES, FRAME = range(10)
+
+# Columns of a cell's row in `OwnCells.frame`; CY and KX of a face, or η_x and η_y of a law, come first.
+FIRST, SECOND, LIFT, AXES, FRAME_NUMBERS = 0, 1, 2, 3, 12
 
 
 class OwnCells(NamedTuple):
     """Position and size of the lens in each cell of a non-uniform sheet; on rung law, the law of each cell.
 
-    change : (faces, 9)
+    change : (faces, 10)
         Whether the lens varies from cell to cell, the gradient of its offset row by row, the index of the
-        table of offsets (−1: none), the rise along z per offset, and the index of the table of sizes.
+        table of offsets (−1: none), the rise along z per offset, and the indices of the tables of sizes and
+        of frames.
     table : (tables, n1, n2, 2) lengths
     size : (tables, n1, n2)
+    frame : (tables, n1, n2, FRAME_NUMBERS)
+        Numbers of each cell's lens in place of the face's, its rise besides, and its axes (lens → sheet).
     """
 
     change: Floats
     table: Floats
     size: Floats
+    frame: Floats
 
 
-def own_cells(changes: Iterable[VertexChange | None]) -> OwnCells:
-    """Pack the change of the lenses of each face."""
+def own_cells(changes: Sequence[VertexChange | None], frames: Sequence[Floats | None] = ()) -> OwnCells:
+    """Pack the change of the lenses of each face, and their frames where they have their own."""
     rows: list[list[float]] = []
-    tables: list[Floats] = []
-    sizes: list[Floats] = []
-    for change in changes:
+    tables: tuple[list[Floats], ...] = ([], [], [])
+    for change, frame in zip(changes, frames or [None] * len(changes), strict=True):
         if change is None:
-            rows.append([0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, -1.0])
+            rows.append([0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, -1.0, -1.0])
             continue
-        places = [-1.0, -1.0]
-        for k, (one, kept) in enumerate(((change.table, tables), (change.size, sizes))):
+        places = [-1.0, -1.0, -1.0]
+        for k, (one, kept) in enumerate(zip((change.table, change.size, frame), tables, strict=True)):
             if one is not None:
                 places[k] = float(len(kept))
                 kept.append(one)
-        rows.append([1.0, *np.ravel(change.gradient).tolist(), places[0], *change.slope, places[1]])
-    table = np.array(tables) if tables else np.zeros((0, 1, 1, 2))
-    size = np.array(sizes) if sizes else np.zeros((0, 1, 1))
-    return OwnCells(np.array(rows), np.ascontiguousarray(table), np.ascontiguousarray(size))
+        rows.append([1.0, *np.ravel(change.gradient).tolist(), places[0], *change.slope, *places[1:]])
+    table, size, frame = (
+        np.ascontiguousarray(kept) if kept else np.zeros((0, 1, 1, *last))
+        for kept, last in zip(tables, ((2,), (), (FRAME_NUMBERS,)), strict=True)
+    )
+    return OwnCells(np.array(rows), table, size, frame)
 
 
-def own_laws(laws: CellLaws) -> OwnCells:
-    """Pack the laws of cells: δ in place of the lens's offset, η in place of its size."""
-    return own_cells([VertexChange(laws.gradient, laws.table, size=laws.ratios)])
+def own_laws(laws: CellLaws, lattice: Lattice) -> OwnCells:
+    """Pack the laws of cells: δ in place of the lens's offset, η in place of its curvatures."""
+    cells, frame = lattice.cells(), None
+    if laws.own_lenses:
+        turn = laws.rotations_of(lattice, cells)
+        axes = (laws.law.rotation if turn is None else turn).reshape(-1, 9)
+        frame = _framed(lattice, cells, *laws.ratios_of(lattice, cells).T, 0.0, axes)
+    return own_cells([VertexChange(laws.gradient, laws.table)], [frame])
+
+
+def _framed(lattice: Lattice, cells: Ints, *columns: Floats | float) -> Floats:
+    """Table (n1, n2, FRAME_NUMBERS) of the frames of cells (n, 2); the first one's for cells left out."""
+    *numbers, axes = columns
+    rows = np.empty((len(cells), FRAME_NUMBERS))
+    for k, each in enumerate(numbers):
+        rows[:, k] = each
+    rows[:, AXES:] = axes
+    return as_table(lattice, cells, rows, rows[0])
+
+
+def _frame(lattice: Lattice, face: FacePlan) -> Floats | None:
+    """Frames of the lenses of a face; None where all are the face's."""
+    change, cells = face.change, lattice.cells()
+    if change is None or not change.framed:
+        return None
+    places = change.places(face.vertex, lattice, cells)
+    surface, axes = places.shape(face.surface), places.axes(face.rotation)
+    shape = surface.kappa if isinstance(surface, Quadric) else surface.conic_x
+    rise = change.rise(lattice, cells, np.zeros((len(cells), 2)))
+    axes = (np.eye(3) if axes is None else axes).reshape(-1, 9)
+    return _framed(lattice, cells, surface.curvature_y, shape, rise, axes)
 
 
 class Packed(NamedTuple):
@@ -184,11 +220,14 @@ def pack_own(layout: Layout, changes: Sequence[VertexChange | None] | None = Non
     sheet = pack_array_1(layout)
     bodies = sheet.bodies.copy()
     bodies[:, QUICK] = 0.0  # the short cut of the walk assumes one lens for all cells
-    faces = [face.change for body in layout.bodies for face in (body.front, body.back)]
+    plans = [face for body in layout.bodies for face in (body.front, body.back)]
+    frames = [_frame(layout.lattice, face) for face in plans] if changes is None else ()
+    faces = sheet.faces.copy()
+    faces[[n for n, one in enumerate(frames) if one is not None], TURNED] = 1.0
     last = len(layout.lattices) - 1  # rows of missing arrays repeat the last array
     lattices = np.array([_array_row(layout, min(array, last)) for array in range(MOST_ARRAYS)])
-    own = own_cells(faces if changes is None else changes)
-    made = sheet._replace(bodies=bodies, lattices=lattices, own=own)
+    own = own_cells([face.change for face in plans] if changes is None else changes, frames)
+    made = sheet._replace(faces=faces, bodies=bodies, lattices=lattices, own=own)
     if changes is None:
         prepared(layout)["packed_own"] = made
     return made

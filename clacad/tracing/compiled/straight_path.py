@@ -23,9 +23,11 @@ from clacad.base.types import Floats, Rows
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.array_cells import (
     carry_own,
+    framed,
     from_own_lens,
     into_array,
     lens_height,
+    meet_framed,
     on_line,
     to_own_lens,
 )
@@ -361,8 +363,8 @@ def _cross(
     face = faces[f]
     within, turned, quadric = (
         own is None and face[slot.ARRAY] >= 0.0,
-        face[slot.TURNED] != 0.0,
-        face[slot.BICONIC] == 0.0,
+        face[slot.TURNED] != 0.0 and not framed(own, f),
+        face[slot.BICONIC] == 0.0 and not framed(own, f),
     )
     hx, hy, lowest, plain, first = inf, inf, climb, quadric and not turned, f or line <= 0
     margin = lat[slot.MARGIN]
@@ -372,6 +374,10 @@ def _cross(
         if first:
             _turn_in(face, s, m, offset)
         offset, lowest = (0.0, 0.0, 0.0), -2.0
+    if own is not None:
+        if first and framed(own, f):
+            meet_framed(sheet, own, f, s, m, media[0], offset)
+            first = False
     if first and quadric:
         _meet_quadric(face, s, m, media[0], offset)
     elif first:

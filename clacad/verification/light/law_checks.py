@@ -32,7 +32,7 @@ from clacad.optics.rays import Fate
 from clacad.sheet.feasibility.derived_numbers import DEFAULT_WAVELENGTH, diffraction_loss
 from clacad.sheet.vignetting import fresnel_numbers, mean_share, thin_cells
 from clacad.sheet.window import Window
-from clacad.tracing.worst_cell import SeenCell, tried_cells, worst_of
+from clacad.tracing.worst_cell import SeenCell, tried_cells
 from clacad.verification.light.through_window import POINT_RAYS, Lit, Optics, Turn, fitted_over_all, optics_of
 
 if TYPE_CHECKING:
@@ -57,11 +57,10 @@ def judge_light(
 
     judged_only : Whether numbers of other light are measured only where the design limits them: for trials.
     """
-    tried = tried_cells(window, design.check.field)
-    seen = worst_of(tried, design.check.field)
+    seen, *others = tried_cells(window, design.check.field)
     optics = optics_of(design, seen.like, seen.send, rays, point_rays)
-    if len(tried) > 1:
-        optics = fitted_over_all(optics, tried, design.check.field)
+    if others:
+        optics = fitted_over_all(optics, [seen, *others], design.check.field)
     lit = Lit(design, window, seen.like, optics, seen, judged_only)
     of_cell = [_named(seen, check) for judge in found_by("light") for check in judge(lit)]
     return [*of_cell, *(check for judge in found_by("sheet") for check in judge(lit))], optics

@@ -314,8 +314,6 @@ def _allowed(design: Design, window: Window, width: Pair2, distance: float) -> P
 
 def white_checks(lit: Lit) -> Iterator[Check]:
     """Report or judge the law in white light, the change over its lines, and that over temperature."""
-    if lit.cell is None:
-        return
     limits, light = lit.design.check, lit.design.light
     base = first_rays(lit.optics.main, WHITE_RAYS)
     lines = {} if lit.judged_only and limits.law_white is None else lines_of(lit.design, lit.like)

@@ -118,7 +118,7 @@ class Lit:
     design : Gives the limits.
     window : The whole sheet.
     like : Uniform equivalent of the cell whose light was measured.
-    cell : The cell whose light was measured; without it white light is not measured.
+    cell : The cell whose light was measured.
     judged_only : Whether white light and temperature are measured only where the design limits them.
     """
 
@@ -126,7 +126,7 @@ class Lit:
     window: Window
     like: Window
     optics: Optics
-    cell: SeenCell | None = None
+    cell: SeenCell
     judged_only: bool = False
 
 
