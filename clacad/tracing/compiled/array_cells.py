@@ -486,12 +486,13 @@ def meet_framed(
     Positions plus the offset are relative to the face's vertex, afterwards without it; normals are kept.
     """
     faces, (ox, oy, oz) = sheet.faces, offset
-    vx, vy, vz = faces[f, slot.VX], faces[f, slot.VY], faces[f, slot.VZ]
+    rise_x, rise_y = own.change[f, slot.RISE_X], own.change[f, slot.RISE_Y]
     for i in range(m):
         if not s[GOOD, i] > 0.0:
             continue
-        ax, ay, az, size = _own_lens_at(sheet, own, f, s[CI, i], s[CJ, i])
-        ax, ay, az = ax - vx, ay - vy, az - vz
+        ax, ay = own_offset(sheet, own, f, s[CI, i], s[CJ, i])
+        az = ax * rise_x + ay * rise_y + own_frame(sheet, own, f, s[CI, i], s[CJ, i])
+        size = own_size(sheet, own, f, s[CI, i], s[CJ, i])
         x, y, z = (s[X, i] + ox - ax) / size, (s[Y, i] + oy - ay) / size, (s[Z, i] + oz - az) / size
         x, y, z = to_lens(faces, f, x, y, z)
         u, v, w = to_lens(faces, f, s[DX, i], s[DY, i], s[DZ, i])
