@@ -10,7 +10,7 @@ from benchmarks.house import measured
 from package_source import syntax
 
 MOST = {
-    "modules": 481,
+    "modules": 482,
     "modules imported by one other only": 75,
     "modules under 60 lines": 10,
     "lines over 110 characters": 0,

@@ -21,7 +21,7 @@ from clacad.exporting.formats.registry import formats, without_optics
 from clacad.exporting.formats.sequential import ZMX
 from clacad.exporting.roles import Role
 from clacad.formats.mesh.file_mesh import FileMesh
-from clacad.formats.sequential.zmx import from_own_cell, traced
+from clacad.formats.sequential.stations import from_own_cell, traced
 from clacad.judging.delivery import Inspection, Subject, part_kind
 from clacad.judging.file_light import WHITE_RAYS, lines_of, white_check
 from clacad.judging.map_file import described, kind_of_map

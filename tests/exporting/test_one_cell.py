@@ -64,7 +64,8 @@ def test_the_sag_of_a_cell_is_that_of_its_own_lens_where_the_table_has_it(made):
 
 
 def test_light_through_the_prescription_of_a_cell_leaves_as_through_that_cell_of_the_sheet(made):
-    from clacad.formats.sequential.zmx import read_zmx, traced
+    from clacad.formats.sequential.stations import traced
+    from clacad.formats.sequential.zmx import read_zmx
     from clacad.optics.rays import Fate, Rays
 
     window = clacad.prescribe(AIMED)

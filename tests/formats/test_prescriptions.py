@@ -259,7 +259,7 @@ def test_a_series_has_the_sag_of_the_face_and_says_within_what_slope():
     from mpmath import mp, mpf
 
     from clacad.formats.sequential.optiland_json import series, terms_needed
-    from clacad.formats.sequential.zmx import stations
+    from clacad.formats.sequential.stations import stations
 
     mp.dps = 40
     for name in ("biconvex", "slab"):

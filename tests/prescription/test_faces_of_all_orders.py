@@ -17,7 +17,8 @@ from clacad.exporting.drawing.canvas import allowances
 from clacad.exporting.drawing.drawing_tables import faces_table
 from clacad.formats.maps.pose_table import check_table, surface_table, write_table_csv, write_table_json
 from clacad.formats.sequential.optiland_json import series, terms_needed
-from clacad.formats.sequential.zmx import check_zmx, read_zmx, stations, write_zmx
+from clacad.formats.sequential.stations import stations
+from clacad.formats.sequential.zmx import check_zmx, read_zmx, write_zmx
 from clacad.sheet.bundle import bundle
 from clacad.sheet.feasibility import describe, feasibility
 from clacad.sheet.like_cell import interfaces

@@ -27,7 +27,8 @@ ZMX_SECONDS, OPTILAND_SECONDS = BASE + 0.03, BASE + 6.0
 
 
 def _write_zmx(job: Job) -> list[FileRecord]:
-    from clacad.formats.sequential.zmx import check_zmx, left_out, write_zmx
+    from clacad.formats.sequential.stations import left_out
+    from clacad.formats.sequential.zmx import check_zmx, write_zmx
 
     path = job.stage.path(f"{job.stem}.zmx")
     write_zmx(job.window, path)

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from clacad.base.types import Floats
-from clacad.formats.sequential.zmx import (
+from clacad.formats.sequential.stations import (
     Station,
     from_own_cell,
     image_height,
