@@ -167,8 +167,8 @@ CONFOCALITY = CheckKind(
 FIELD_FOCUS = CheckKind("field_focus", "CL316", "of f1", where="surfaces, parabasal", rule=_FIXED).explained(
     means="Distance along the axis between the faces of a field lens and the foci of lens 1.",
     why="Only where all light of one direction meets in a point does a lens leave the law alone.",
-    formula="max |z_face − z_focus|/f1 in air, of every face and meridian with power; 0.01 at most; not judged "
-    "where lens 1 has two foci and both field faces have power along both axes",
+    formula="max |z_face − z_focus|/f1 in air, of every face and meridian with power; 0.01 at most; not"
+    " judged where lens 1 has two foci and both field faces have power along both axes",
     do='A smaller gap between the plates (pair.field.gap); confocal = "exact".',
 )
 

@@ -83,7 +83,7 @@ def field_lens_checks(lit: Lit) -> Iterator[Check]:
 
 
 def _focus(window: Window) -> Check:
-    """Distance of the field faces from the foci of the optics before them; not of those solved for two foci."""
+    """Distance of field faces from the foci of the optics before them; not of faces solved for two foci."""
     pair = window.thin
     f1 = pair.focal_length[0]
     bent = [face.surface for face in window.faces if face.array == 2]
