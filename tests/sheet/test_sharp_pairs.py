@@ -221,7 +221,7 @@ def test_the_image_of_the_axis_of_tilted_lenses_is_as_far_along_it_as_that_of_up
             **{"pair__focus": "afocal", **planes}, law__euler=[0, angle, 0], pair__offset="paraxial"
         )
         window = clacad.prescribe(wanted)
-        found.append(list(image_checks(Lit(wanted, window, window, None))))
+        found.append(list(image_checks(Lit(wanted, window, window, None, None))))
     (upright, wide), (point, spot) = found
     assert point.value == pytest.approx(upright.value, rel=0.02)
     assert (point.state, spot.state) == (upright.state, wide.state)
@@ -363,7 +363,7 @@ def test_a_sharp_sheet_passes_its_checks_and_another_focus_fails():
     other = clacad.prescribe(design(pair__focus={"object": -300, "image": 380}))
     assert (
         next(
-            check for check in image_checks(Lit(asked, other, other, None)) if check.id == "image_point"
+            check for check in image_checks(Lit(asked, other, other, None, None)) if check.id == "image_point"
         ).state
         == "fail"
     )

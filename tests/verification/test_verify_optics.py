@@ -135,7 +135,7 @@ def angled(name):
 def by_light(design, window):
     claimed = replace(window, law=design.law)
     seen = optics_of(design, claimed, lambda lit: trace(claimed, lit.rays), RAYS, POINT_RAYS)
-    return {c.id: c for c in law_checks(Lit(design, claimed, claimed, seen))}
+    return {c.id: c for c in law_checks(Lit(design, claimed, claimed, seen, None))}
 
 
 @pytest.mark.daily_cases("one virtual focus")
@@ -195,7 +195,7 @@ def test_meridians_that_differ_fail_by_their_difference_not_by_a_defect_within_i
     wrong = replace(
         window, bodies=(window.bodies[0], replace(second, front=bent(second.front), back=bent(second.back)))
     )
-    (check,) = confocality_check(Lit(thin, wrong, wrong, None))
+    (check,) = confocality_check(Lit(thin, wrong, wrong, None, None))
     found = confocality(wrong)
     assert found.defect < 0.02
     assert check.state == "fail"
@@ -240,7 +240,7 @@ def test_without_light_nothing_is_green():
     """Remove the input of the traced checks, the light: they do not run, and the report does not pass."""
     window = prescribe(BASE)
     none = optics_of(BASE, window, lambda lit: replace_fate(trace(window, lit.rays)), RAYS, POINT_RAYS)
-    lit = Lit(BASE, window, window, none)
+    lit = Lit(BASE, window, window, none, None)
     checks = [*law_checks(lit), *throughput(lit)]
     states = {c.id: c.state for c in checks}
     assert {states[name] for name in ("law_rms", "law_bias", "spread", "eta", "delta", "tilt")} == {"not run"}
@@ -320,7 +320,7 @@ def test_a_meridian_without_power_is_no_defect():
     assert np.isnan(found.shift[1])
     assert found.defect < 1e-9
     window = prescribe(BASE)
-    (check,) = confocality_check(Lit(BASE.replace({"law.eta": [-1.0, -1.0]}), window, window, None))
+    (check,) = confocality_check(Lit(BASE.replace({"law.eta": [-1.0, -1.0]}), window, window, None, None))
     assert check.state == "pass"
 
 

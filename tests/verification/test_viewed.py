@@ -38,7 +38,7 @@ def mean_share(distance, width=20.0, separation=10.0, pitch=0.5):
 
 def viewed_of(design):
     window = prescribe(design)
-    check, *_ = accepted(viewed_check(Lit(design, window, window, None)), design)
+    check, *_ = accepted(viewed_check(Lit(design, window, window, None, None)), design)
     return check
 
 
