@@ -152,7 +152,9 @@ def test_cells_that_touch_the_outline_leave_no_sliver_of_land(name):
         replace(window.with_cells((1, 1)), outline=None, lattice=window.with_cells((1, 1)).lattice), body
     )
     land = 0.03 * (area - cells * window.lattice.cell_area)
-    assert volume_and_area(solids[0])[0] == pytest.approx(cells * volume_and_area(alone[0])[0] + land, rel=1e-11)
+    assert volume_and_area(solids[0])[0] == pytest.approx(
+        cells * volume_and_area(alone[0])[0] + land, rel=1e-11
+    )
 
 
 def test_a_lens_on_a_plate_has_the_volume_of_a_plate_and_two_ellipsoid_caps():
@@ -168,7 +170,9 @@ def test_a_lens_on_a_plate_has_the_volume_of_a_plate_and_two_ellipsoid_caps():
         cap = np.pi * a * b * h * h * (3.0 * c - h) / (3.0 * c * c)
         solids, counts = built(window, body)
         assert counts.faces["lens"] == 8
-        assert volume_and_area(solids[0])[0] == pytest.approx(4.0 * (0.5 * 0.5 * 0.002 + 2.0 * cap), rel=1e-12)
+        assert volume_and_area(solids[0])[0] == pytest.approx(
+            4.0 * (0.5 * 0.5 * 0.002 + 2.0 * cap), rel=1e-12
+        )
 
 
 def test_a_lens_without_land_is_two_caps_meeting_in_an_ellipse():
