@@ -182,8 +182,10 @@ def test_traced_vertices_send_the_mean_of_each_cells_light_where_the_law_asks():
     from clacad.prescription.traced_vertices import RAYS, _cell_points
 
     window = clacad.prescribe(WINDOW.replace(AIMED))
-    points = _cell_points(window)
+    points = _cell_points(window, copies=4)  # the sheet is aimed from its axis
     assert len(points) == 4 * RAYS
+    turned = points @ [[0.0, 1.0], [-1.0, 0.0]]
+    assert {tuple(p) for p in points.round(12) + 0.0} == {tuple(p) for p in turned.round(12) + 0.0}
     for cell in window.lattice.cells()[:: window.lattice.cell_count // 7]:
         slope = window.lattice.centres(cell) / 400.0
         # parallel light of the slope of the field centre: an eye infinitely far away in that direction

@@ -49,11 +49,11 @@ KILLED = textwrap.dedent(
 
     forecast, forecasts = clacad.exporting.run.with_prospects, {}
 
-    def forecast_once(grader, rows, declared):
+    def forecast_once(*asked):
         "What light will do, which takes nine tenths of an export and writes nothing: worked out once for each mesh."
-        key = tuple(row.quads for row in rows)
+        key = tuple(row.quads for row in asked[2])
         if key not in forecasts:
-            forecasts[key] = forecast(grader, rows, declared)
+            forecasts[key] = forecast(*asked)
         return forecasts[key]
 
     clacad.exporting.run.with_prospects = forecast_once
