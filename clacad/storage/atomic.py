@@ -161,9 +161,11 @@ class Stage:
             raise ExportRefused(
                 f"{target} is a symbolic link that no export made; remove it or ask to overwrite"
             )
-        manifest = read_manifest(self.folder)
-        if manifest is not None and (name in (MANIFEST, RUN_FACTS) or owns(manifest, target)):
-            return
+        with _publishing(self.folder):  # between a publication's files and its manifest nothing owns them
+            manifest = read_manifest(self.folder)
+            own = manifest is not None and (name in (MANIFEST, RUN_FACTS) or owns(manifest, target))
+            if own or not os.path.lexists(target):
+                return
         raise ExportRefused(
             f"{target} exists and is not (or no longer) what an export wrote there; "
             "choose another folder, move the file away, or ask to overwrite"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import subprocess
@@ -62,6 +63,28 @@ def test_a_file_that_came_meanwhile_is_not_written_over(tmp_path: Path) -> None:
     assert (tmp_path / "part.stl").read_bytes() == b"theirs"
 
 
+def test_who_asks_while_another_publishes_waits_for_its_manifest(tmp_path: Path) -> None:
+    """Files of a publication lie in the folder for a moment before the manifest that lists them."""
+    with Stage(tmp_path) as slow:
+        lock = os.open(tmp_path, os.O_RDONLY)
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        (tmp_path / "part.stl").write_bytes(b"fast")
+
+        def finish() -> None:
+            time.sleep(0.2)
+            listed = {"name": "part.stl", "sha256": file_hash(tmp_path / "part.stl"), "bytes": 4}
+            (tmp_path / "manifest.json").write_text(json.dumps({"format": 1, "files": [listed]}))
+            os.close(lock)
+
+        other = threading.Thread(target=finish)
+        other.start()
+        files = [entry(slow, "part.stl", b"slow")]
+        other.join()
+        with pytest.raises(ExportRefused, match=r"manifest\.json was written by another program meanwhile"):
+            slow.publish({"format": 1, "files": files})
+    assert (tmp_path / "part.stl").read_bytes() == b"fast"
+
+
 def test_of_two_that_write_one_file_the_later_says_why(tmp_path: Path) -> None:
     with Stage(tmp_path) as stage:
         stage.path("one.txt").write_bytes(b"later")
@@ -86,7 +109,7 @@ def test_exports_started_together_leave_one_set_and_every_loser_a_sentence(tmp_p
     statuses = [process.returncode for process in running]
     assert set(statuses) <= {0, 4}
     assert 0 in statuses
-    assert all(("meanwhile" in text) == (status == 4) for text, status in zip(told, statuses))
+    assert all(("meanwhile" in text) == (status == 4) for text, status in zip(told, statuses)), told
     assert whole(tmp_path / "out")
     assert not [p for p in (tmp_path / "out").iterdir() if p.name.startswith(".")]
 
