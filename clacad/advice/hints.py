@@ -210,7 +210,7 @@ def advise(design: Design, progress: Progress | None = None, judged: Judged | No
     from clacad.base.interactive import shown_progress
 
     judged = judge(design) if judged is None else judged
-    trials = Trials(design, TRIALS, shown_progress(progress), SECONDS)
+    trials = Trials(design, TRIALS, shown_progress(progress), SECONDS, _worst_cell(judged))
     wanted = [*judged.failing, *judged.warning]
     found: list[Changes] = []
     try:
@@ -227,6 +227,17 @@ def advise(design: Design, progress: Progress | None = None, judged: Judged | No
     told = tuple((check, of_it) for check, of_it in hinted if of_it or is_tried(check))
     free = sharper(judged, trials)
     return Advice(judged, told, trials.tried, free)
+
+
+def _worst_cell(judged: Judged) -> Design | None:
+    """Uniform design of the cell by which a sheet is judged; None if it does not change as its sheet does."""
+    from clacad.prescription.prescribe import design_of_cell
+
+    design, found = judged.design, LAW_RMS.first(judged.checks)
+    placed = design.lattice.pitch_2 is not None or design.lattice.rotation_2
+    if judged.window.uniform or design.pair.focus is not None or placed or found is None:
+        return None
+    return design_of_cell(design, judged.window, tuple(found.detail["cell"]))
 
 
 def _settings_that_mend(

@@ -45,17 +45,13 @@ TIGHT = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Judged(Tabular):
-    """A design as built, with its checks; light is traced at the first access.
+    """A design as built, with its checks; numbers, rules and light are computed at the first access.
 
     Attributes
     ----------
     design : Design
     window : Window
         As built.
-    facts : Feasibility
-        Of the window.
-    rules : tuple of Check
-        The design rules; warnings that the design allows are marked.
     remedies : bool
         Whether the check `viewed` tries which changes reach its limit, and names them.
     judged_only : bool
@@ -66,8 +62,6 @@ class Judged(Tabular):
 
     design: Design
     window: Window
-    facts: Feasibility
-    rules: tuple[Check, ...]
     remedies: bool = False
     judged_only: bool = False
     as_made: bool = False
@@ -92,6 +86,16 @@ class Judged(Tabular):
             "verdict": self.verdict(),
             **({} if self.made is None else {"as_made": self.made.to_dict()}),
         }
+
+    @cached_property
+    def facts(self) -> Feasibility:
+        """Derived numbers of the window."""
+        return feasibility(self.window, *self.design.viewing_places)
+
+    @cached_property
+    def rules(self) -> tuple[Check, ...]:
+        """The design rules; warnings that the design allows are marked."""
+        return design_checks(self.design, self.window, self.facts, solved=False)
 
     @cached_property
     def light(self) -> tuple[Check, ...]:
@@ -198,10 +202,7 @@ def judge(
     DesignError
         The design cannot be built.
     """
-    window = prescribe(design)
-    facts = feasibility(window, *design.viewing_places)
-    rules = design_checks(design, window, facts, solved=False)
-    return Judged(design, window, facts, rules, remedies, judged_only, as_made)
+    return Judged(design, prescribe(design), remedies, judged_only, as_made)
 
 
 def check(design: Design, as_made: bool = False) -> Judged:

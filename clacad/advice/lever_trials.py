@@ -17,9 +17,9 @@ from typing import Any, Final
 from clacad.advice.judged import Judged, judge, tight
 from clacad.base.text import plain
 from clacad.base.types import Progress, silent
-from clacad.checks.check import Check, kinds, wrong
+from clacad.checks.check import Check, accepted, kinds, wrong
 from clacad.checks.levers import FORMS, WORDS, Lever
-from clacad.checks.light_kinds import VIEWED
+from clacad.checks.light_kinds import LAW_BIAS, LAW_RMS, VIEWED
 from clacad.design import Design, DesignError
 from clacad.design.sections import BODY, LATTICE, PAIR
 
@@ -50,6 +50,15 @@ INTENTS: Final = frozenset({LATTICE.aperture, BODY.border})
 
 MOST_AIMED: Final = 5000
 """Largest number of cells of a sheet that is tried with aimed cells: tracing takes 1 ms per cell."""
+
+OF_CELL: Final = frozenset(
+    {PAIR.separation, PAIR.thickness, PAIR.surface, PAIR.conic, LATTICE.pitch, LATTICE.count}
+)
+"""Keys by which a cell changes as its sheet does."""
+
+CLEARLY: Final = 1.1
+"""Factor on a limit of the law beyond which light of a cell decides for its sheet: the cell's place among
+neighbours that differ changes it by 4 %."""
 
 _HELD: Final = (PAIR.separation, PAIR.thickness, LATTICE.pitch, LATTICE.aperture)
 """Keys that `clacad optimise` keeps fixed: its faces are those of the pair with these values."""
@@ -262,13 +271,17 @@ class Trials:
     most : Largest number of trials.
     progress : Called with the stage and the part of the trials made.
     seconds : Processor seconds after which no trial is begun.
+    cell : Uniform design of the cell by which a non-uniform sheet is judged: changes by which light of this
+        cell clearly fails are not tried on the sheet. None: every change is.
     """
 
     design: Design
     most: int
     progress: Progress = silent
     seconds: float = inf
+    cell: Design | None = None
     made: dict[str, Judged | None] = field(default_factory=dict)
+    of_cell: dict[str, Judged | None] = field(default_factory=dict)
     _begun: float = field(default_factory=process_time)
 
     def judged(self, changes: Changes) -> Judged | None:
@@ -276,23 +289,38 @@ class Trials:
 
         Raises NoMoreTrials.
         """
+        return self._judged(self.made, self.design, changes)
+
+    def _judged(self, known: dict[str, Judged | None], design: Design, changes: Changes) -> Judged | None:
         name = _name(changes)
-        if name not in self.made:
-            if len(self.made) >= self.most or process_time() - self._begun > self.seconds:
-                raise NoMoreTrials
-            self.progress(STAGE, len(self.made) / self.most)
+        if name not in known:
+            if name not in self.of_cell:  # else it is the same trial
+                if self.tried >= self.most or process_time() - self._begun > self.seconds:
+                    raise NoMoreTrials
+                self.progress(STAGE, self.tried / self.most)
             try:
-                self.made[name] = judge(
-                    self.design.replace(changes) if changes else self.design, judged_only=True
-                )
+                known[name] = judge(design.replace(changes) if changes else design, judged_only=True)
             except DesignError:
-                self.made[name] = None
-        return self.made[name]
+                known[name] = None
+        return known[name]
+
+    def _fails_in_cell(self, changes: Changes, checks: Sequence[Check]) -> bool:
+        """Whether a check of the law clearly fails in one cell of the changed sheet."""
+        law = [check.kind for check in checks if check.kind in (LAW_RMS, LAW_BIAS)]
+        if self.cell is None or not law or not set(changes) <= OF_CELL or self.knows(changes):
+            return False
+        judged = self._judged(self.of_cell, self.cell, changes)
+        found = [] if judged is None else [kind.first(judged.light) for kind in law]
+        return any(
+            isinstance(one.value, float) and isinstance(one.limit, float) and one.value > CLEARLY * one.limit
+            for one in found
+            if one is not None
+        )
 
     @property
     def tried(self) -> int:
-        """Designs that were tried."""
-        return len(self.made)
+        """Designs that were tried, on the sheet or in one cell."""
+        return len({*self.made, *self.of_cell})
 
     def knows(self, changes: Changes) -> bool:
         """Whether the design with these keys changed was tried."""
@@ -308,6 +336,8 @@ class Trials:
         """
 
         def does(k: int) -> bool:
+            if self._fails_in_cell({**before, **settings[k]}, checks):
+                return False
             judged = self.judged({**before, **settings[k]})
             return judged is not None and all(settled(judged, c) for c in checks)
 
@@ -345,11 +375,17 @@ def _name(changes: Changes) -> str:
 
 
 def found_in(judged: Judged, check: Check) -> Check | None:
-    """The corresponding check of another trial, which is traced only for a check by light."""
-    of_rules = next((c for c in judged.rules if (c.id, c.subject) == (check.id, check.subject)), None)
-    if of_rules is not None:
-        return of_rules
-    return next((c for c in judged.checks if (c.id, c.subject) == (check.id, check.subject)), None)
+    """The corresponding check of another trial, which is traced only for a check by light and then first."""
+
+    def by_light() -> tuple[Check, ...]:
+        return accepted(judged.light, judged.design)
+
+    parts = (by_light, lambda: judged.rules) if check.bundle else (lambda: judged.rules, by_light)
+    for part in (*parts, lambda: judged.checks):
+        found = next((c for c in part() if (c.id, c.subject) == (check.id, check.subject)), None)
+        if found is not None:
+            return found
+    return None
 
 
 def settled(judged: Judged, check: Check) -> bool:

@@ -114,6 +114,8 @@ def design_of_cell(design: Design, window: Window, cell: tuple[int, int]) -> Des
         lattice["aperture"] = slope if moved else "aligned"
     if sharp:
         pair = _with_given_faces(pair, window, np.array(cell))
+    elif (varying or isinstance(aimed, AimedAt)) and design.pair.offset is None and not design.pair.given:
+        pair["offset"] = "traced"  # the default of lenses 2 of such a sheet
     changed = {**design.given, "lattice": lattice, "law": law, "pair": pair}
     return Design(**read_changed(changed, design.path, {}))
 

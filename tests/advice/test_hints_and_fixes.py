@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from clacad.advice import advise, fewest_keys, fix, judge
-from clacad.advice.lever_trials import levers_of, settings
+from clacad.advice import advise, fewest_keys, fix, hints, judge
+from clacad.advice.lever_trials import Trials, found_in, levers_of, settings
 from clacad.checks.check import kinds
 from clacad.checks.design_kinds import EDGE
 from clacad.checks.light_kinds import LAW_RMS, RESIDUAL
@@ -285,3 +285,41 @@ def test_check_and_forecast_judge_the_one_cell_whose_light_leaves_farthest_from_
     (check,) = (one for one in judged.light if one.kind is LAW_RMS)
     assert tuple(check.detail["cell"]) == tried[0].index
     assert Grader.of(Meshes(judged.window), design).cell == tried[0].words
+
+
+AIMED = {
+    "format": 1, "name": "aimed", "unit": "mm", "law": {"eta": [-1.0, -1.0]},
+    "pair": {"form": "slab", "separation": 10.0, "material": "PMMA", "surface": "biconic", "conic": [-0.7, -0.7]},
+    "lattice": {"pitch": 0.5, "count": [40, 40], "aperture": {"point": [0, 0, -150]}},
+    "check": {"process": "none", "law_rms": "0.5 mrad", "field": "1 deg"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"pair.separation": 8}, {"pair.separation": 9.5}, {"lattice.pitch": 0.45, "lattice.count": [45, 45]}],
+)
+def test_one_cell_of_a_non_uniform_sheet_forecasts_what_a_changed_sheet_fails(changes):
+    """Light through the whole changed sheet, in its own worst cell, fails by about as much."""
+    design = Design.from_dict(AIMED)
+    base = judge(design)
+    trials = Trials(design, 9, cell=hints._worst_cell(base))
+    failing = [LAW_RMS.first(base.checks)]
+    assert failing[0].state == "fail"
+    assert trials._fails_in_cell(changes, failing)
+    assert not trials.made
+    assert trials.tried == 1
+    of_cell = LAW_RMS.first(next(iter(trials.of_cell.values())).light)
+    changed = design.replace(changes)
+    whole = LAW_RMS.first(judge_light(changed, prescribe(changed), 8192, 1024)[0])
+    assert whole.state == "fail"
+    assert of_cell.value == pytest.approx(whole.value, rel=0.06)
+
+
+def test_a_trial_by_light_computes_no_rules_and_a_trial_by_rules_no_light():
+    design = Design.from_dict(AIMED).replace("lattice.count", [6, 6])
+    base = judge(design)
+    for check, other in ((LAW_RMS.first(base.checks), "rules"), (base.rules[0], "light")):
+        trial = judge(design, judged_only=True)
+        assert found_in(trial, check).id == check.id
+        assert other not in vars(trial)

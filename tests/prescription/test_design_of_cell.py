@@ -41,6 +41,7 @@ DESIGNS = {
     "cemented, aimed behind": cemented(lattice__aperture={"point": [1.0, 0.5, 300]}),
     "cemented, varying": cemented(law__varying={"f_image": 200}),
     "turned": slab().replace({"lattice.rotation_2": "0.3 deg", "lattice.pitch_2": 0.503}),
+    "aimed from near": slab().replace({"lattice.aperture": {"point": [3.0, 1.5, -120]}}),
     "sharp": slab().replace({"pair.focus": {"object": -300, "image": 400}}),
     "sharp, ellipsoids of a depth": slab(eta=[-0.8, -1.0]).replace(
         {"pair.focus": {"object": -300, "image": 400}, "pair.depth": [2.4, 2.4]}
@@ -89,7 +90,8 @@ def test_a_uniform_sheet_of_a_cell_has_its_lenses_and_its_law(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["turned", "sharp", "sharp, with a field lens", "sharp, biconvex", "sharp, tilted"]
+    "name",
+    ["turned", "aimed from near", "sharp", "sharp, with a field lens", "sharp, biconvex", "sharp, tilted"],
 )
 def test_light_leaves_the_uniform_sheet_of_a_cell_as_it_leaves_that_cell(name):
     """Traced through the sheet itself, from the light of the cell's centre of the field and aside of it."""
