@@ -16,7 +16,7 @@ A boundary is valid if no side has zero length and no two sides intersect.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import atan, ceil, pi, sqrt
 from typing import Any, Literal
 
@@ -186,6 +186,7 @@ def least_land(plate: Plate) -> float:
     return float(np.min(np.concatenate(gaps))) if gaps else np.inf
 
 
+@lru_cache(maxsize=8)
 def free_width(plate: Plate, low: float, high: float) -> float:
     """Width of the widest rectangle about x = 0 between two y that no edge enters; 0: none."""
     narrow, wide = 0.0, 2.0 * plate.reach[0]

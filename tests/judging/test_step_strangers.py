@@ -16,6 +16,7 @@ from clacad.formats.step.text_health import patch_points, scan_step
 from clacad.judging.delivery import Inspection
 from clacad.judging.step_file import judge_solid
 from clacad.judging.step_light import FACE_RAYS
+from clacad.solid.occ_writer import box
 
 IDS = tuple(kind.id for kind in THROUGH_FILE)
 
@@ -234,10 +235,10 @@ def test_one_body_moved_by_a_two_hundredth_of_the_separation_fails(written, tmp_
 # -- placements ---------------------------------------------------------------------------------------
 
 
-def shifted_row(path, target, row, by):
-    """One usage of a row of cells moved along x, by editing the text."""
+def shifted_use(path, target, name, by):
+    """One usage of a row or run of cells moved along x, by editing the text."""
     text = path.read_text()
-    use = re.search(rf"#(\d+)=NEXT_ASSEMBLY_USAGE_OCCURRENCE\('[^']*row {row}'", text)
+    use = re.search(rf"#(\d+)=NEXT_ASSEMBLY_USAGE_OCCURRENCE\('[^']*{name}'", text)
     shape = re.search(rf"#(\d+)=PRODUCT_DEFINITION_SHAPE\('','',#{use[1]}\)", text)[1]
     relation = re.search(rf"CONTEXT_DEPENDENT_SHAPE_REPRESENTATION\(#(\d+),#{shape}\)", text)[1]
     move = re.search(rf"#{relation}=.*WITH_TRANSFORMATION\(#(\d+)\)", text)[1]
@@ -259,7 +260,7 @@ def test_one_row_of_instances_off_the_lattice_is_named_with_its_cell_and_distanc
     checks, _ = judged(design, window, tmp_path / "good.step", stated)
     assert checks["placement"].state == "pass"
     assert good(checks) == []
-    shifted_row(tmp_path / "good.step", tmp_path / "bad.step", 60, part * pitch)
+    shifted_use(tmp_path / "good.step", tmp_path / "bad.step", "row 60", part * pitch)
     checks, facts = judged(design, window, tmp_path / "bad.step", stated)
     found = checks["placement"]
     assert found.state == "fail"
@@ -267,6 +268,48 @@ def test_one_row_of_instances_off_the_lattice_is_named_with_its_cell_and_distanc
     assert facts["placement"]["moved"] == 2 * len({0, 1})
     assert facts["placement"]["lattice_cell"][1] == 59
     assert "60" not in found.sentence.split("cell")[0]
+
+
+CONCAVE = [
+    [-1.3, -1.3],
+    [1.3, -1.3],
+    [1.3, 1.3],
+    [0.4, 1.3],
+    [0.4, 0.1],
+    [-0.2, 0.1],
+    [-0.2, 1.3],
+    [-1.3, 1.3],
+]
+"""Boundary of a U: its upper rows have two runs of cells."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("outline", [{"circle": 2.4}, {"polygon": CONCAVE}], ids=lambda one: next(iter(one)))
+def test_rows_of_several_lengths_are_runs_of_cells_and_one_run_aside_is_found(tmp_path, outline):
+    keys = {
+        "lattice.count": [24, 24],
+        "lattice.pitch": 0.1,
+        "lattice.outline": outline,
+        "body.outline": {"circle": 4.2},
+    }
+    design = clacad.load(str(DESIGNS / "window-100mm.toml")).replace(keys | {"check.process": "none"})
+    window = clacad.prescribe(design)
+    write_step(window, tmp_path / "good.step", mode="instanced")
+    uses = (tmp_path / "good.step").read_text().count("NEXT_ASSEMBLY_USAGE_OCCURRENCE")
+    assert uses < 0.5 * window.lattice.cell_count * len(window.bodies)
+    extents = [np.array(box(solid)) for solid in solids(occ_shape(tmp_path / "good.step"))]
+    middles = [(low + high)[:2] for low, high in extents if np.all((high - low)[:2] < 0.2)]
+    lattice = window.lattice.centres(window.lattice.cells())
+    per_body = len(middles) // len(lattice)
+    assert len(middles) == per_body * len(lattice) > 0
+    found = np.unique(np.round(0.5 * np.array(middles), 6), axis=0)
+    assert found == pytest.approx(np.unique(np.round(lattice, 6), axis=0), abs=1e-6)
+    checks, _ = judged(design, window, tmp_path / "good.step")
+    assert good(checks) == []
+    shifted_use(tmp_path / "good.step", tmp_path / "bad.step", "half 2", 1e-4)
+    checks, _ = judged(design, window, tmp_path / "bad.step")
+    assert checks["placement"].state == "fail"
+    assert checks["placement"].value == pytest.approx(1e-4, rel=1e-6)
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from math import ceil, log10
 from typing import TYPE_CHECKING, Literal
@@ -35,6 +36,9 @@ OWN_CELL_SECONDS = 0.0003
 FUSED_CELL = {"straight": 4700, "hexagonal": 7200, "tilted": 15_000}
 """Bytes per lenslet and body in a fused file; walls of tilted lenslets are wavy."""
 
+PLACE_BYTES = 580
+"""Text of one place of an assembly."""
+
 EDGE_BYTES = 1900
 """Text of one side face of a plate, its edges and curves included, about."""
 
@@ -51,7 +55,7 @@ def _write(job: Job) -> list[FileRecord]:
 
 def _seconds(size: int, mode: str) -> float:
     """Seconds to write STEP text and read it with OCC in a separate process."""
-    return 0.68 + 1.12e-6 * size if mode == "fused" else 0.6 + 1.4e-6 * size
+    return 0.68 + 1.12e-6 * size if mode == "fused" else 0.6 + 3e-6 * size
 
 
 def _rough_bytes(sheet: RoughSheet, fused: bool) -> int:
@@ -102,7 +106,6 @@ def _row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Fore
 
 def step_bytes(window: Window, mode: Literal["fused", "instanced"], pcurves: bool = True) -> int:
     """Size of the STEP file, from the text of small sheets: it grows as A + B (n1 + n2) + C n1 n2."""
-    from clacad.exporting.tessellations import instanceable
     from clacad.formats.step.step_files import step_text_length
     from clacad.sheet.like_cell import like_cell
     from clacad.sheet.plate import Plate
@@ -124,7 +127,7 @@ def step_bytes(window: Window, mode: Literal["fused", "instanced"], pcurves: boo
         power = 1.0 if mode == "fused" else 0.5
         first, second, whole = (sheet.lattice.cell_count**power for sheet in (small, large, window))
         return int(two + (two - one) / (second - first) * (whole - second)) if second > first else two
-    if mode == "instanced" and instanceable(window):
+    if mode == "instanced":
         a, b = (step_text_length(_smaller_sheet(window, n), mode, pcurves) for n in (2, 6))
         return int(a + (b - a) / 8 * (n1 + n2 - 4))
     a, b, c = (step_text_length(_smaller_sheet(window, n), mode, pcurves) for n in (1, 4, 8))
@@ -138,11 +141,24 @@ def step_bytes(window: Window, mode: Literal["fused", "instanced"], pcurves: boo
 def _plate_step_bytes(
     window: Window, plate: Plate, mode: Literal["fused", "instanced"], pcurves: bool
 ) -> int:
-    """Size of the STEP file of a plate: that of as many cells in a plain sheet, and that of its edges."""
-    cells = window.lattice.cell_count
-    side = max(1, round(cells**0.5))
-    plain = window.with_cells((side, max(1, round(cells / side))))
-    return step_bytes(plain, mode, pcurves) + EDGE_BYTES * len(plate.edges) * len(window.bodies)
+    """Size of the STEP file of a plate: that of a plain sheet, and that of its edges.
+
+    Fused, the plain sheet has as many cells; else it is as wide, and so has as many faces along its border.
+    """
+    n1, n2 = window.lattice.count
+    edges = EDGE_BYTES * len(plate.edges) * len(window.bodies)
+    if mode == "instanced":
+        runs = (_places(window) - n1 - n2) * len(window.bodies) * PLACE_BYTES
+        return step_bytes(window.with_cells((n1, n2)), mode, pcurves) + edges + max(0, runs)
+    side = max(1, round(window.lattice.cell_count**0.5))
+    plain = window.with_cells((side, max(1, round(window.lattice.cell_count / side))))
+    return step_bytes(plain, mode, pcurves) + edges
+
+
+def _places(window: Window) -> int:
+    """Places of one body whose rows are made of runs of 2^k cells (see `step_files`), about."""
+    lengths = Counter(window.lattice.cells()[:, 1].tolist()).values()
+    return len(lengths) + 2 * max(lengths).bit_length() + sum(n.bit_count() for n in set(lengths))
 
 
 def _smaller_sheet(window: Window, n: int) -> Window:

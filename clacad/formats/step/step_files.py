@@ -326,21 +326,44 @@ def _add_counts(total: ShellCounts, counts: ShellCounts, times: int) -> None:
 def _rows(
     window: Window, layer: Layer, part: Part21, cell: Part, name: str, scale: float
 ) -> list[tuple[Part, Floats, str]]:
-    """Rows of cells; rows with the same pattern are one part."""
+    """Rows of cells; rows with the same pattern are one part.
+
+    Where patterns differ, rows are made of runs of 1, 2, 4, 8 ... cells that they share: readers spend their
+    time on places, and so a round sheet has some hundreds of them instead of one a cell.
+    """
+    rows = [row for row in map(window.lattice.row, range(window.lattice.count[1])) if len(row)]
+    patterns = [tuple((row[:, 0] - row[0, 0]).tolist()) for row in rows]
+    along = np.array(window.lattice.a1) * scale
+    runs = [cell]  # the run of 2^k cells
+
+    def run(power: int) -> Part:
+        while len(runs) <= power:
+            half = 2 ** (len(runs) - 1)
+            halves = [(runs[-1], n * half * along, f"{name} half {n + 1}") for n in range(2)]
+            runs.append(_assembled(part, f"{name} run of {2 * half}", halves))
+        return runs[power]
+
     made: dict[tuple[float, ...], Part] = {}
-    placed = []
-    for j in range(window.lattice.count[1]):
-        row = window.lattice.row(j)
-        if not len(row):
-            continue
-        centres = window.lattice.centres(row) * scale + layer.shift
-        along = np.array(window.lattice.a1) * scale
-        pattern = tuple((row[:, 0] - row[0, 0]).tolist())
-        if pattern not in made:
-            spots = [(cell, step * along, f"{name} {n + 1}") for n, step in enumerate(pattern)]
-            made[pattern] = _assembled(part, f"{name} row of {len(pattern)}", spots)
-        placed.append((made[pattern], centres[0], f"{name} row {j + 1}"))
-    return placed
+    for pattern in dict.fromkeys(patterns):
+        pieces = [(step, 0) for step in pattern] if len(set(patterns)) == 1 else _runs(pattern)
+        spots = [(run(power), step * along, f"{name} {n}") for n, (step, power) in enumerate(pieces, 1)]
+        made[pattern] = _assembled(part, f"{name} row of {len(pattern)}", spots)
+    return [
+        (made[pattern], window.lattice.centres(row)[0] * scale + layer.shift, f"{name} row {row[0, 1] + 1}")
+        for row, pattern in zip(rows, patterns, strict=True)
+    ]
+
+
+def _runs(pattern: Sequence[float]) -> list[tuple[float, int]]:
+    """First steps of the runs of 2^k consecutive cells that make up a row, the longest first, and their k."""
+    found, at, count = [], 0, len(pattern)
+    while at < count:
+        power, last = 0, at + 1
+        while last < count and pattern[last] - pattern[at] == last - at:
+            power, last = power + 1, at + 2 ** (power + 2) - 1
+        found.append((pattern[at], power))
+        at += 2**power
+    return found
 
 
 WAYS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
