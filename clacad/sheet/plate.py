@@ -16,7 +16,7 @@ A boundary is valid if no side has zero length and no two sides intersect.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from math import atan, ceil, pi, sqrt
 from typing import Any, Literal
 
@@ -30,7 +30,7 @@ from clacad.sheet.plate_edges import (
     arc_angle,
     as_sides,
     closed_loop,
-    distances,
+    crossings,
     edge_box,
     extremes,
     inside,
@@ -186,7 +186,6 @@ def least_land(plate: Plate) -> float:
     return float(np.min(np.concatenate(gaps))) if gaps else np.inf
 
 
-@lru_cache(maxsize=8)
 def free_width(plate: Plate, low: float, high: float) -> float:
     """Width of the widest rectangle about x = 0 between two y that no edge enters; 0: none."""
     narrow, wide = 0.0, 2.0 * plate.reach[0]
@@ -200,9 +199,10 @@ def free_width(plate: Plate, low: float, high: float) -> float:
 
 def _clear(plate: Plate, polygon: Floats) -> bool:
     """Whether no edge has a point in a convex polygon (m, 2)."""
-    return not bool(
-        (distances(plate.edges, polygon) == 0.0).any() or within(polygon, *plate.edges[:, :2].T).any()
-    )
+    with np.errstate(invalid="ignore"):
+        met = crossings(plate.edges, *polygon.T, *(np.roll(polygon, -1, axis=0) - polygon).T)
+        crossed = ((met >= 0.0) & (met <= 1.0)).any()
+    return not bool(crossed or within(polygon, *plate.edges[:, :2].T).any())
 
 
 def whole_cells(plate: Plate, tile: Floats, centres: Floats, room: float) -> Bools:

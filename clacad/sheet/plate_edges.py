@@ -103,11 +103,6 @@ def crossings(edges: Floats, x: Floats, y: Floats, dx: Floats, dy: Floats) -> Fl
     )
 
 
-def distances(edges: Floats, polygon: Floats) -> Floats:
-    """Least distance (e,) of edges from the sides of a convex polygon (m, 2); 0 where they cross."""
-    return np.array([float(polygon_gaps(edge, polygon, np.zeros((1, 2)))[0]) for edge in edges])
-
-
 # -- one edge ---------------------------------------------------------------------------------------
 
 
