@@ -155,15 +155,12 @@ def follow_rays(
 
     Raises UnreadableFile: OCC cannot read the file.
     """
-    intersector = _column(path, tuple(low), tuple(high))
+    layers = _column(path, tuple(low), tuple(high))
     many = len(position)
     paths = RayPaths.begun(position, direction, len(faces))
     curved = np.zeros((many, len(faces)), dtype=bool)
-    if intersector is None:
-        paths.end[:] = 1
-        return paths.to_lists(curved)
     for k in range(many):
-        ray = _Ray(intersector, paths.position[k], paths.direction[k])
+        ray = _Ray(layers, paths.position[k], paths.direction[k])
         paths.end[k] = ray.follow(faces)
         found = len(ray.hits)
         paths.crossings[k] = found
@@ -175,35 +172,66 @@ def follow_rays(
 _COLUMNS: dict[tuple[Any, ...], Any] = {}
 
 
-def _column(path: str | os.PathLike[str], low: tuple[float, ...], high: tuple[float, ...]) -> Any:
-    """Intersector of the faces that reach into a column, kept for the next call; None without a face."""
+@dataclass(frozen=True, eq=False)
+class _FaceLayer:
+    """Faces between two heights (mm) that no face of another layer reaches, in OCC's intersector."""
+
+    low: float
+    high: float
+    intersector: Any
+
+
+def _column(
+    path: str | os.PathLike[str], low: tuple[float, ...], high: tuple[float, ...]
+) -> list[_FaceLayer]:
+    """Layers of the faces that reach into a column, upwards, kept for the next call; none without a face.
+
+    A ray is cut with the faces of one layer at a time: of a sheet of several plates, those of one plate.
+    """
+    from clacad.formats.step.read_back import kept, loaded, state_of
+    from clacad.formats.step.shape_parts import boxes_of, moved, reaching
+
+    def made() -> list[_FaceLayer]:
+        faces = [
+            moved(face, placement)
+            for piece in loaded(path).pieces
+            for placement, face in reaching(piece, boxes_of(piece.faces), np.array(low), np.array(high))
+        ]
+        if not faces:
+            return []
+        heights = boxes_of(faces)[..., 2].reshape(len(faces), -1)
+        floors, tops = heights.min(axis=1), heights.max(axis=1)
+        order = np.argsort(floors, kind="stable")
+        reached = np.maximum.accumulate(tops[order])
+        starts = np.flatnonzero(np.append(True, floors[order][1:] > reached[:-1] + TOUCH))
+        return [
+            _FaceLayer(floors[rows].min(), tops[rows].max(), _loaded([faces[row] for row in rows]))
+            for rows in map(np.sort, np.split(order, starts[1:]))
+        ]
+
+    return kept(_COLUMNS, (*state_of(path), low, high), made)
+
+
+def _loaded(faces: Sequence[Any]) -> Any:
+    """OCC's intersector of faces."""
     from OCP.BRep import BRep_Builder
     from OCP.IntCurvesFace import IntCurvesFace_ShapeIntersector
     from OCP.TopoDS import TopoDS_Compound
 
-    from clacad.formats.step.read_back import kept, loaded, state_of
-    from clacad.formats.step.shape_parts import boxes_of, moved, reaching
-
-    def made() -> Any:
-        builder, chosen, found = BRep_Builder(), TopoDS_Compound(), 0
-        builder.MakeCompound(chosen)
-        for piece in loaded(path).pieces:
-            for placement, face in reaching(piece, boxes_of(piece.faces), np.array(low), np.array(high)):
-                builder.Add(chosen, moved(face, placement))
-                found += 1
-        intersector = IntCurvesFace_ShapeIntersector() if found else None
-        if intersector is not None:
-            intersector.Load(chosen, 1e-10)
-        return intersector
-
-    return kept(_COLUMNS, (*state_of(path), low, high), made)
+    builder, together = BRep_Builder(), TopoDS_Compound()
+    builder.MakeCompound(together)
+    for face in faces:
+        builder.Add(together, face)
+    intersector = IntCurvesFace_ShapeIntersector()
+    intersector.Load(together, 1e-10)
+    return intersector
 
 
 class _Ray:
     """One ray on its way through the faces."""
 
-    def __init__(self, intersector: Any, position: Floats, direction: Floats) -> None:
-        self._intersector = intersector
+    def __init__(self, layers: Sequence[_FaceLayer], position: Floats, direction: Floats) -> None:
+        self._layers = layers
         self.position, self.direction = position, direction
         self.hits: list[Floats] = []
         self.curved: list[bool] = []
@@ -263,31 +291,36 @@ class _Ray:
         """Hits ahead, nearest first, grouped by position."""
         from OCP.gp import gp_Dir, gp_Lin, gp_Pnt
 
-        found = self._intersector
-        found.Perform(gp_Lin(gp_Pnt(*self.position), gp_Dir(*self.direction)), NEAREST, 1e6)
-        if not found.IsDone():
-            return
-        order = sorted((found.WParameter(k), k) for k in range(1, found.NbPnt() + 1))
-        group: list[tuple[float, Floats, bool, int]] = []
-        for distance, number in order:
-            if group and distance - group[-1][0] > TOUCH:
+        line = gp_Lin(gp_Pnt(*self.position), gp_Dir(*self.direction))
+        height, upward = self.position[2], self.direction[2] >= 0.0
+        for layer in self._layers if upward else reversed(self._layers):
+            if (layer.high < height - TOUCH) if upward else (layer.low > height + TOUCH):
+                continue
+            found = layer.intersector
+            found.Perform(line, NEAREST, 1e6)
+            if not found.IsDone():
+                continue
+            order = sorted((found.WParameter(k), k) for k in range(1, found.NbPnt() + 1))
+            group: list[tuple[float, Floats, bool, int]] = []
+            for distance, number in order:
+                if group and distance - group[-1][0] > TOUCH:
+                    yield group
+                    group = []
+                group.append(self._met(found, distance, number))
+            if group:
                 yield group
-                group = []
-            group.append(self._met(distance, number))
-        if group:
-            yield group
 
-    def _met(self, distance: float, number: int) -> tuple[float, Floats, bool, int]:
+    def _met(self, found: Any, distance: float, number: int) -> tuple[float, Floats, bool, int]:
         """Distance, outward unit normal, whether the face is curved, and +1 on entry, −1 on exit."""
         from OCP.BRepAdaptor import BRepAdaptor_Surface
         from OCP.GeomAbs import GeomAbs_Cone, GeomAbs_Cylinder, GeomAbs_Plane, GeomAbs_SurfaceOfExtrusion
         from OCP.gp import gp_Pnt, gp_Vec
         from OCP.TopAbs import TopAbs_REVERSED
 
-        face = self._intersector.Face(number)
+        face = found.Face(number)
         surface = BRepAdaptor_Surface(face, False)
         point, du, dv = gp_Pnt(), gp_Vec(), gp_Vec()
-        surface.D1(self._intersector.UParameter(number), self._intersector.VParameter(number), point, du, dv)
+        surface.D1(found.UParameter(number), found.VParameter(number), point, du, dv)
         across = du.Crossed(dv)
         normal = np.array([across.X(), across.Y(), across.Z()])
         normal *= (-1.0 if face.Orientation() == TopAbs_REVERSED else 1.0) / np.linalg.norm(normal)
