@@ -166,7 +166,7 @@ def shared_blocks(mesh: BodyMesh, shaded: bool) -> Iterator[Block]:
     from clacad.formats.mesh.measure import Welder
     from clacad.mesh.tessellation import plain_normals, shaded_portions
 
-    ring = [mesh.plain.corners, *([plain_normals(mesh)] if shaded else [])]
+    ring = [mesh.ring().corners, *([plain_normals(mesh)] if shaded else [])]
     weld, begun = Welder(np.concatenate(ring, axis=2).reshape(-1, 3 * len(ring))), 0
     for row, corners, normals in shaded_portions(mesh, shaded):
         if row > begun + 1:

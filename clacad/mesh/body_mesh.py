@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import fsum
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Floats, Ints
-from clacad.mesh.cell_blocks import CellBlock, OwnBlock, number_rows, own_blocks
+from clacad.mesh.cell_blocks import BLOCK, CellBlock, OwnBlock, number_rows, own_blocks
 from clacad.mesh.health import facet_errors, flux
-from clacad.mesh.land_ring import JUDGED, Tiled, row_states
+from clacad.mesh.land_ring import JUDGED, Tiled, ring_about, row_states
 from clacad.sheet.representative_cells import representative_cells
 
 if TYPE_CHECKING:
@@ -58,8 +58,8 @@ class BodyMesh:
     tiled : tuple of Tiled
     ringed : bool
         Whether land extends from the cells to the window's outline.
-    plain : Plain
-        Land ring and outline wall.
+    ring : callable () → Plain
+        Land ring and outline wall, made at the first call.
     step : length
         Height of one z level.
     saddles : int
@@ -77,7 +77,7 @@ class BodyMesh:
     body: Body
     tiled: tuple[Tiled, ...]
     ringed: bool
-    plain: Plain
+    ring: Callable[[], Plain]
     step: float
     saddles: int = 0
     bevel_volume: float = 0.0
@@ -116,8 +116,8 @@ class BodyMesh:
         """Largest normal distance between facet and exact surface (length)."""
         return self._errors[1]
 
-    def blocks(self) -> Iterator[CellBlock | OwnBlock]:
-        """Cells grouped by row and template; in a non-uniform sheet in batches of some rows."""
+    def blocks(self, most: int = BLOCK) -> Iterator[CellBlock | OwnBlock]:
+        """Cells grouped by row and template; in a non-uniform sheet in batches of about `most` triangles."""
         lattice = self.window.lattice
         for tiled in self.tiled:
             rows = (
@@ -125,7 +125,7 @@ class BodyMesh:
                 for j in range(lattice.count[1])
             )
             if tiled.own is not None:
-                yield from own_blocks(tiled, rows, partial(_states, self, tiled))
+                yield from own_blocks(tiled, rows, partial(_states, self, tiled), most)
                 continue
             for row in rows:
                 yield from _row_blocks(self, tiled, row)
@@ -157,14 +157,17 @@ class BodyMesh:
         """
         if self.own:
             return _count(self)
-        return sum(len(t.triangles) * number for t, _, number in self.census) + len(self.plain.triangles)
+        return sum(len(t.triangles) * number for t, _, number in self.census) + len(self.ring().triangles)
 
     @cached_property
     def facets_about(self) -> int:
-        """Number of triangles; in a non-uniform sheet estimated from a sample of cells."""
+        """Number of triangles; in a non-uniform sheet estimated from a sample of cells, without its land."""
         if self.cells is not None:
             return _count(self)
-        total = len(self.plain.triangles) + sum(len(t.triangles) * number for t, _, number in self.census)
+        total = sum(len(t.triangles) * number for t, _, number in self.census)
+        rough = self.ringed and any(tiled.own is not None for tiled in self.tiled)
+        known = ring_about(self.window, self.tiled) if rough else None
+        total += len(self.ring().triangles) if known is None else known
         cells = representative_cells(self.window, "sample", JUDGED)
         own = (tiled for tiled in self.tiled if tiled.own is not None)
         blocks = (
@@ -196,14 +199,14 @@ class BodyMesh:
             count += len(positions[-1])
             if keyed:
                 keys.append(block.keys())
-        positions.append(self.plain.vertices)
-        triangles.append(self.plain.triangles + count)
+        positions.append(self.ring().vertices)
+        triangles.append(self.ring().triangles + count)
         self.counted[:] = [sum(map(len, triangles))]
         place, corners = np.concatenate(positions), np.concatenate(triangles)
         positions.clear()
         triangles.clear()
         return (
-            _weld(np.concatenate([*keys, self.plain.key]), place, corners)
+            _weld(np.concatenate([*keys, self.ring().key]), place, corners)
             if keyed
             else _weld_positions(place, corners)
         )
@@ -222,7 +225,7 @@ class BodyMesh:
         """Volume by the divergence sum over the templates and the land (length³), compensated."""
         if self.own:
             return fsum(float(flux(corners).sum()) for corners in self.rows())
-        parts = flux(self.plain.corners).tolist()
+        parts = flux(self.ring().corners).tolist()
         for template, lattice, number in self.census:
             corners = template.local(lattice)[template.triangles]
             parts.append(number * fsum(flux(corners).tolist()))
@@ -244,6 +247,17 @@ def _states(mesh: BodyMesh, tiled: Tiled, row: Ints) -> NDArray[np.uint8]:
     return row_states(mesh.window, row, tiled.maker.offsets, mesh.ringed, tiled.lattice, apart)
 
 
+def first_triangles(mesh: BodyMesh, most: int) -> Floats:
+    """The first triangles (k, 3, 3) of `BodyMesh.rows`, at most `most`, without larger blocks than needed."""
+    kept, count = [np.empty((0, 3, 3))], 0
+    for corners in _corner_blocks(mesh, most):
+        kept.append(corners[: most - count])
+        count += len(kept[-1])
+        if count >= most:
+            break
+    return np.concatenate(kept)
+
+
 def _count(mesh: BodyMesh) -> int:
     """Number of triangles; counted by a complete pass over `rows`."""
     if not mesh.counted:
@@ -252,9 +266,9 @@ def _count(mesh: BodyMesh) -> int:
     return mesh.counted[0]
 
 
-def portions(mesh: BodyMesh) -> Iterator[tuple[CellBlock | OwnBlock, int, int]]:
+def portions(mesh: BodyMesh, most: int = BLOCK) -> Iterator[tuple[CellBlock | OwnBlock, int, int]]:
     """Blocks of `rows`, cut to a bounded number of triangles: (block, first cell, last cell + 1)."""
-    for block in mesh.blocks():
+    for block in mesh.blocks(most):
         if not isinstance(block, CellBlock):
             yield block, 0, len(block.cells)
             continue
@@ -263,12 +277,12 @@ def portions(mesh: BodyMesh) -> Iterator[tuple[CellBlock | OwnBlock, int, int]]:
             yield block, first, min(first + each, len(block.cells))
 
 
-def _corner_blocks(mesh: BodyMesh) -> Iterator[Floats]:
+def _corner_blocks(mesh: BodyMesh, most: int = BLOCK) -> Iterator[Floats]:
     """Yield the blocks of `BodyMesh.rows`."""
-    for block, first, last in portions(mesh):
+    for block, first, last in portions(mesh, most):
         yield block.corners(first, last)
-    if len(mesh.plain.triangles):
-        yield mesh.plain.corners
+    if len(mesh.ring().triangles):
+        yield mesh.ring().corners
 
 
 def facet_tags(mesh: BodyMesh) -> Iterator[tuple[NDArray[np.uint8], Ints]]:
@@ -279,8 +293,8 @@ def facet_tags(mesh: BodyMesh) -> Iterator[tuple[NDArray[np.uint8], Ints]]:
     """
     for block, first, last in portions(mesh):
         yield block.tags(first, last)
-    if len(mesh.plain.triangles):
-        yield mesh.plain.kind, np.full((len(mesh.plain.triangles), 2), -(2**31), dtype=np.int64)
+    if len(mesh.ring().triangles):
+        yield mesh.ring().kind, np.full((len(mesh.ring().triangles), 2), -(2**31), dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -165,11 +165,16 @@ class OwnBlock:
         return key.reshape(-1, 4)
 
 
-def own_blocks(tiled: Tiled, rows: Iterable[Ints], states: Callable[[Ints], Bytes]) -> Iterator[OwnBlock]:
-    """Yield the triangles of the cells (n, 2) of rows; `states` returns the states of their neighbours."""
+def own_blocks(
+    tiled: Tiled, rows: Iterable[Ints], states: Callable[[Ints], Bytes], most: int = BLOCK
+) -> Iterator[OwnBlock]:
+    """Yield the triangles of the cells (n, 2) of rows; `states` returns the states of their neighbours.
+
+    most : Number of triangles of a block, about.
+    """
     assert tiled.own is not None
     caps = tiled.own.regular.caps
-    many = max(1, min(MOST_CELLS, BLOCK // (2 * max(1, len(caps)))))
+    many = max(1, min(MOST_CELLS, most // (2 * max(1, len(caps)))))
     waiting: list[Ints] = []
     for row in rows:
         waiting.append(row)

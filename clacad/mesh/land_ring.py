@@ -187,6 +187,26 @@ def boundary(lattice: Lattice) -> list[tuple[int, int, int]]:
     return found
 
 
+def ring_about(window: Window, tiled: tuple[Tiled, ...]) -> int | None:
+    """Number of triangles of the ring and its wall, but for cells whose sides have more points than the
+    regular cell's; None where cells touch the outline.
+    """
+    loops = outline_polygons(window)
+    outer, found = sum(map(len, loops)), 0
+    for side in range(2):
+        own = tiled[min(side, len(tiled) - 1)]
+        lattice, maker = own.lattice, own.maker if own.own is None else own.own.regular.maker
+        x0, x1, y0, y1 = lattice.extent()
+        half = np.abs(loops[0]).max(axis=0) * (1.0 - _TOUCH)
+        shift = np.abs(own.shift) if len(tiled) > 1 else np.zeros(2)
+        if len(loops[0]) <= FEW and (np.array([max(-x0, x1), max(-y0, y1)]) + shift >= half).any():
+            return None
+        inner = sum(len(maker.tile.plan.sides[k]) - 1 for _, _, k in boundary(window.lattice))
+        # a ring around a hole has as many triangles as corners; half of the wall's, two a side, is added
+        found += inner + 2 * outer + 2 * (len(loops) - 1)
+    return found
+
+
 def make_land(window: Window, tiled: Tiled, centre: tuple[float, float]) -> LandRing:
     """Triangulate the land between the cells of one tiling and the outline.
 

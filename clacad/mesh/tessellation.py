@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import groupby
 from math import ceil
 from operator import itemgetter
@@ -246,14 +247,16 @@ def mesh_body(
             "CL134",
             f"body {body.name!r} needs land on both faces out to its outline: give body.border a width",
         )
-    plain = make_plain(window, tiled, parts.step) if ringed else no_plain()
+    ring = cache(partial(make_plain, window, tiled, parts.step) if ringed else no_plain)
+    if all(one.own is None for one in tiled):
+        ring()  # refuses what cannot be built; that of a non-uniform sheet is made when it is used
     return BodyMesh(
         body.name,
         window,
         body,
         tiled,
         ringed,
-        plain,
+        ring,
         parts.step,
         saddle_count(parts.cells),
         window.lattice.cell_count * sum(tile.bevel_volume() for tile in tiles),
@@ -386,7 +389,7 @@ def shaded_portions(mesh: BodyMesh, shaded: bool = True) -> Iterator[tuple[int, 
     shaded : Whether normals are wanted; else they are None.
     """
     known: dict[int, Floats] = {}
-    count, row = len(mesh.plain.triangles), 0
+    count, row = len(mesh.ring().triangles), 0
     for block, first, last in portions(mesh):
         corners, row = block.corners(first, last), int(block.cells[first:last, 1].min())
         count += len(corners)
@@ -401,13 +404,13 @@ def shaded_portions(mesh: BodyMesh, shaded: bool = True) -> Iterator[tuple[int, 
             known[id(template)] = template_normals(block.tiled.lattice, mesh.body, template)
         yield row, corners, np.tile(known[id(template)], (last - first, 1, 1))
     mesh.counted[:] = [count]
-    if len(mesh.plain.triangles):
-        yield row, mesh.plain.corners, plain_normals(mesh) if shaded else None
+    if len(mesh.ring().triangles):
+        yield row, mesh.ring().corners, plain_normals(mesh) if shaded else None
 
 
 def plain_normals(mesh: BodyMesh) -> Floats:
     """Outward normals (t, 3, 3) at the corners of the land ring and of the wall along the outline."""
-    return _facet_normals(mesh.plain.corners)
+    return _facet_normals(mesh.ring().corners)
 
 
 def shaded_rows(mesh: BodyMesh) -> Iterator[tuple[Floats, Floats]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -134,12 +134,11 @@ class Lattice(Pattern):
             inside &= in_sector(self.centres(index), self.copies)
         if self.outline is None:
             return np.asarray(inside)
-        if isinstance(self.outline, Plate):
-            held = _on_plate(self, self.outline)
-            rows, columns = np.where(inside, j, 0), np.where(inside, i - first, 0)
-            return np.asarray(inside & held[rows, columns])
-        corners = self.centres(index)[..., None, :] + self.tile()
-        return np.asarray(inside & inside_outline(self.outline, corners).all(axis=-1))
+        if not isinstance(self.outline, Plate) and n1 * n2 > MOST_TABLED:
+            return np.asarray(inside & _in_outline(self, index))
+        held = _on_plate(self, self.outline) if isinstance(self.outline, Plate) else _kept(self)
+        rows, columns = np.where(inside, j, 0), np.where(inside, i - first, 0)
+        return np.asarray(inside & held[rows, columns])
 
     def cells(self) -> Ints:
         """List the kept cells, row by row, as (n, 2) indices."""
@@ -291,13 +290,34 @@ def _of_rows(lattice: Lattice, rows: Ints) -> Ints:
     return index if lattice.outline is None and lattice.copies == 1 else index[lattice.contains(index)]
 
 
+MOST_TABLED = 1 << 18
+"""Largest number of cells of a pattern of which a table holds which are kept: it is found in milliseconds."""
+
+
+@lru_cache(maxsize=32)
+def _kept(lattice: Lattice) -> Bools:
+    """Which cells an outline keeps, (n2, n1), each row from its first cell."""
+    return _in_outline(lattice, _every_cell(lattice)).reshape(lattice.count[1], lattice.count[0])
+
+
+def _in_outline(lattice: Lattice, index: Ints) -> Bools:
+    """Which cells (..., 2) lie whole inside the outline."""
+    assert lattice.outline is not None
+    corners = lattice.centres(index)[..., None, :] + lattice.tile()
+    return np.asarray(inside_outline(lattice.outline, corners).all(axis=-1))
+
+
+def _every_cell(lattice: Lattice) -> Ints:
+    """Indices (n, 2) of all cells of the rows, kept or not."""
+    j, i = np.divmod(np.arange(lattice.count[0] * lattice.count[1]), lattice.count[0])
+    return np.stack([i - j // 2 if lattice.hexagonal else i, j], axis=-1)
+
+
 def _on_plate(lattice: Lattice, plate: Plate) -> Bools:
     """Which cells a plate holds, (n2, n1), each row from its first cell; computed once per pattern."""
     key = (lattice.kind, lattice.pitch, lattice.count)
     if key not in plate.kept:
-        j, i = np.divmod(np.arange(lattice.count[0] * lattice.count[1]), lattice.count[0])
-        first = -(j // 2) if lattice.hexagonal else np.zeros_like(j)
-        held = whole_on_plate(lattice, plate, np.stack([i + first, j], axis=-1))
+        held = whole_on_plate(lattice, plate, _every_cell(lattice))
         plate.kept[key] = held.reshape(lattice.count[1], lattice.count[0])
     found: Bools = plate.kept[key]
     return found

@@ -77,10 +77,10 @@ def test_an_engraved_mesh_is_one_solid_that_lost_its_letters_and_nothing_of_its_
         made = engraved_mesh(plain, drawing)
         # every facet of the cells, to the bit and in its place; of the border, back and side wall are there too
         before, after = corners(plain), corners(made)
-        cells = plain.facet_count - len(plain.plain.triangles)
+        cells = plain.facet_count - len(plain.ring().triangles)
         assert after[:cells].tobytes() == before[:cells].tobytes()
         kept = {facet.tobytes() for facet in after}
-        level = plain.plain.vertices[plain.plain.triangles[0, 0], 2]
+        level = plain.ring().vertices[plain.ring().triangles[0, 0], 2]
         lost = [facet for facet in before if facet.tobytes() not in kept]
         assert lost
         assert all((facet[:, 2] == level).all() for facet in lost)

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import clacad
 from clacad.mesh import check_closed, tessellate
-from clacad.mesh.body_mesh import facet_tags
+from clacad.mesh.body_mesh import facet_tags, first_triangles
 from clacad.mesh.cell_template import BACK, FRONT
+from clacad.mesh.land_ring import ring_about
 from clacad.optics.surface import sag
 from clacad.sheet.volume_and_extent import body_volume
 
@@ -185,6 +187,20 @@ def test_the_mesh_of_cells_that_differ_is_the_same_every_time_and_in_any_order()
     )  # another cell is made first
     assert digest(first) == digest(second) == digest(first)
     assert abs(first.bodies[0].facets_about / first.bodies[0].facet_count - 1.0) < 0.1
+
+
+@pytest.mark.parametrize("name", ["disc", "hexagonal disc", "border", "columns in a border"])
+def test_the_triangles_of_a_sheet_are_forecast_without_its_land(name):
+    body = next(one for one in tessellate(built(**SHEETS[name]), quads=4).bodies if one.own)
+    made = []
+    lazy = replace(body, ring=lambda: made.append(1) or body.ring())
+    about = lazy.facets_about
+    assert not made
+    assert ring_about(body.window, body.tiled) == len(body.ring().triangles) > 0
+    assert abs(about / body.facet_count - 1.0) < 0.1
+    first = first_triangles(body, 500)
+    assert first.shape == (500, 3, 3)
+    assert np.array_equal(first, np.concatenate(list(body.rows()))[:500])
 
 
 @pytest.mark.slow

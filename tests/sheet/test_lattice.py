@@ -138,3 +138,18 @@ def test_with_count_is_centred_and_drops_the_outline():
     lattice = Lattice("square", (0.5, 0.5), (200, 200), Circle(90.0)).with_count((3, 2))
     assert lattice.outline is None
     assert lattice.extent() == pytest.approx((-0.75, 0.75, -0.5, 0.5))
+
+
+@pytest.mark.parametrize("kind", ["square", "hexagonal"])
+@pytest.mark.parametrize("count", [(30, 28), (600, 500)])
+def test_a_disc_keeps_the_cells_whose_corners_lie_in_it_whether_or_not_a_table_holds_them(kind, count):
+    """Squared distances of the corners from the middle; a table of the second pattern would be too large."""
+    lattice = Lattice(kind, (0.5, 0.5), count, Circle(0.45 * min(count)))
+    index = np.random.default_rng(2).integers(-min(count), 2 * max(count), (20_000, 2))
+    corners = (lattice.centres(index)[:, None] + lattice.tile()) ** 2
+    held = (corners.sum(axis=2) <= (0.225 * min(count)) ** 2).all(axis=1)
+    row = index[:, 0] + index[:, 1] // 2 if lattice.hexagonal else index[:, 0]
+    there = (index[:, 1] >= 0) & (index[:, 1] < count[1]) & (row >= 0) & (row < count[0])
+    assert np.array_equal(lattice.contains(index), held & there)
+    assert 0 < (held & there).sum() < there.sum()
+    assert np.array_equal(lattice.contains(index.reshape(100, 200, 2)).ravel(), held & there)

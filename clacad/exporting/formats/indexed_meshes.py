@@ -5,7 +5,7 @@ Binary STL: facets as a stream, all bodies in one file or one file a body.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,6 @@ from clacad.exporting.formats.format import (
 from clacad.exporting.roles import DOUBLE_NORMALS, DOUBLES, IN_CELL, IN_SHEET, SINGLE_NORMALS
 
 if TYPE_CHECKING:
-    from clacad.base.types import Floats
     from clacad.exporting.formats.format import RoughSheet
     from clacad.exporting.manifest import FileRecord, Job
     from clacad.exporting.request import Request
@@ -333,12 +332,13 @@ def _threemf_bytes(meshes: Meshes, quads: int) -> int:
 
     from clacad.exporting.tessellations import weld
     from clacad.formats.mesh import threemf
+    from clacad.mesh.body_mesh import first_triangles
 
     mesh = meshes.at(quads).cell if meshes.repeatable else meshes.at(quads).mesh
     total = 950.0
     packed = zlib.compressobj(6)
     for body, part in zip(meshes.window.bodies, mesh.bodies, strict=True):
-        corners = _first_facets(part.rows())
+        corners = first_triangles(part, SAMPLE)
         if not len(corners):
             continue
         piece = weld(body, corners)
@@ -360,18 +360,6 @@ def _threemf_place_bytes(window: Window) -> int:
             for array in arrays
         )
     )
-
-
-def _first_facets(rows: Iterator[Floats]) -> Floats:
-    import numpy as np
-
-    kept, count = [], 0
-    for block in rows:
-        kept.append(block[: SAMPLE - count])
-        count += len(kept[-1])
-        if count >= SAMPLE:
-            break
-    return np.concatenate(kept) if kept else np.empty((0, 3, 3))
 
 
 def _places_bytes(places: Places, scale: float) -> float:
