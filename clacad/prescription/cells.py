@@ -40,9 +40,10 @@ from clacad.base.types import Floats, Ints, Pair2
 from clacad.design.asked_cells import cell_laws, cut_across
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.optics.law.focusing import ratios_of, refract_each
+from clacad.optics.law.orientation import rotations
 from clacad.optics.surface import Quadric
 from clacad.prescription.aimed_cells import STEEPEST, AimPoint, aimed
-from clacad.prescription.bodies import FieldCells
+from clacad.prescription.bodies import FieldCells, glass_of_tilts, plano_outside_axis
 from clacad.prescription.field_lens import (
     FieldOfCells,
     etas_along_axes,
@@ -116,7 +117,8 @@ class Targets:
     deltas : (n, 2). δ of each law.
     slopes : (n, 2). Slopes in air of the chief rays, sheet frame.
     sizes : None: one η, and one size of lenses.
-    turns : (n, 3, 3) or None. Lens → sheet of each cell; None: the sheet's in all.
+    turns : (n, 3, 3) or None. Lens → sheet of the law of each cell; None: the sheet's in all.
+    frames : (n, 3, 3) or None. The same of its lenses, which planes before and behind them may bend.
     key : Key of the design that errors name.
     """
 
@@ -125,7 +127,15 @@ class Targets:
     slopes: Floats
     sizes: CellSizes | None
     turns: Floats | None = None
+    frames: Floats | None = None
     key: str = LAW.varying
+
+    @property
+    def climb(self) -> Floats:
+        """Rise (n, 2) of the planes of the lenses along sheet x and y; 0 where they have no own axes."""
+        if self.frames is None:
+            return np.zeros((len(self.cells), 2))
+        return np.asarray(-self.frames[:, :2, 2] / self.frames[:, 2:, 2] + 0.0)
 
 
 def with_own_cells(window: Window, design: Design, field: FieldCells | None = None) -> Window:
@@ -157,7 +167,8 @@ def with_own_cells(window: Window, design: Design, field: FieldCells | None = No
     aim = AimPoint(design.lattice.aperture.point) if isinstance(design.lattice.aperture, AimedAt) else None
     targets = _targets(placed, design, aim)
     lens_turn = next(face.rotation for face in window.faces if face.array == 1)
-    slope = (0.0, 0.0) if placed.cell_laws is None else lens_plane_slope(lens_turn)
+    lean = _leaned(window, design, targets, lens_turn)
+    slope = (0.0, 0.0) if placed.cell_laws is None or lean is not None else lens_plane_slope(lens_turn)
     table = np.zeros(targets.slopes.shape)
     if varying:
         ratio = None if targets.sizes is None else targets.sizes.focal
@@ -167,7 +178,7 @@ def with_own_cells(window: Window, design: Design, field: FieldCells | None = No
         table = _by_rule(window, targets, np.array(focal), lens_turn, ratio)
         if inclined:  # lenses 2 follow their cells
             table = table - _followed(placed.placements[1], placed, targets.cells)
-        _refuse_far(placed, targets, table, aims)
+        _refuse_far(placed, targets, table, aims, lean)
     if targets.sizes is not None and targets.sizes.field is not None:
         apart = placed.shifts[1] + _followed(placed.placements[1], placed, targets.cells)
         table = table + _pulled(targets, targets.sizes.field.pull, lens_turn, apart)
@@ -176,18 +187,56 @@ def with_own_cells(window: Window, design: Design, field: FieldCells | None = No
         follow = _followed(placed.placements[1], placed, targets.cells)
         drift = 1.0 if not aims else 0.0 if field is None else field.drift
         first = table + drift * follow if drift and placed.placements[1].own else table
-        light = _light(placed, targets, first, slope, aims)
-        if field is not None:
-            light = replace(light, field=field_moves(window, placed, targets.cells))
-        table = table + _moves(window, placed, targets.cells, light)
-        _refuse_far(placed, targets, table, aims)
-    made = _with_tables(placed, targets, table, slope)
+        light = _light(placed, targets, first, slope if lean is None else targets.climb, aims)
+        slides = lean if field is None else field_moves(window, placed, targets.cells)
+        if field is not None and lean is not None:
+            slides = slides + lean
+        table = table + _moves(window, placed, targets.cells, replace(light, slides=slides))
+        _refuse_far(placed, targets, table, aims, lean)
+    made = _with_tables(placed, targets, table, slope, lean)
     return replace(made, thin=_thin(placed, targets, inclined)) if varying else made
+
+
+def _leaned(window: Window, design: Design, targets: Targets, turn: Floats) -> Floats | None:
+    """Displacement (k, n, 3), lengths, of the faces of both lenses by axes of cells that lean otherwise than
+    the law's; 0 of other faces, None: no cell has such axes.
+
+    A pair turns about the middle of its lens 1 as one piece: `turn` (3, 3), lens → sheet of the law.
+    """
+    frames = targets.frames
+    if frames is None or not (frames[:, :2, 2].any() or turn[:2, 2].any()):
+        return None
+    found = np.zeros((len(window.faces), len(targets.cells), 3))
+    for lean, face in zip(found, window.faces, strict=True):
+        if face.array in (0, 1):
+            place = np.asarray(face.vertex) + [*window.shifts[face.array], 0.0]
+            lean += frames @ (place @ turn) - place
+    if window.form == "plano" and design.pair.curved == "outside" and not window.field_array:
+        found[-1] = _leaned_behind_planes(window, targets, turn)
+    return found
+
+
+def _leaned_behind_planes(window: Window, targets: Targets, turn: Floats) -> Floats:
+    """As `_leaned`, (n, 3), of lenses 2 of plano pairs: planes under the whole sheet bend the axis of a cell,
+    and its lens 2 has the glass that leaves it least power.
+    """
+    (first, second), index, separation = (window.recipe[name] for name in ("T", "n", "s"))
+    gap = window.bodies[1].front.vertex[2] - window.bodies[0].back.vertex[2]
+    frames, law = targets.frames, np.broadcast_to(turn, (len(targets.cells), 3, 3))
+    assert frames is not None  # the caller has found that they lean
+    etas = np.broadcast_to(ratios_of(window.law), (len(frames), 2))
+    if window.cell_laws is not None:
+        etas = window.cell_laws.ratios_of(window.lattice, targets.cells)
+    more = np.subtract(*(glass_of_tilts(one, etas, index, separation, gap) for one in (frames, law)))
+    start = plano_outside_axis(turn, index, (first, second), gap)
+    place = np.asarray(window.bodies[1].back.vertex) + [*window.shifts[1], 0.0]
+    aside = frames @ ((place - start) @ turn)
+    return np.asarray(plano_outside_axis(frames, index, (first, second + more), gap) + aside - place)
 
 
 def _moves(window: Window, placed: Window, cells: Ints, light: CellLight) -> Floats:
     """Moves (n, 2), lengths, of lenses 2, found once for cells that a turn about the axis makes the same."""
-    copies = 1 if light.own is not None or light.field is not None else turned_alike(placed)
+    copies = 1 if light.own is not None or light.slides is not None else turned_alike(placed)
     lattice = placed.lattice
     number = as_table(lattice, cells, np.arange(float(len(cells))))
     for copies in (k for k in (4, 2) if k <= copies):
@@ -265,16 +314,23 @@ def _targets(placed: Window, design: Design, aim: AimPoint | None) -> Targets:
     deltas = (CellLaws(placed.law) if laws is None else laws).deltas(lattice, cells)
     sizes = None if laws is None or not laws.own_lenses else sizes_of(placed, design, laws)
     turns = None if laws is None else laws.rotations_of(lattice, cells)
+    frames = turns
+    if laws is not None and turns is not None and design.pair.curved == "inside":
+        bent = laws.angles_of(
+            lattice, cells
+        ).copy()  # the plane faces refract the axis, as `shallower` has it
+        bent[:, 1] = np.arcsin(np.sin(bent[:, 1]) / placed.recipe["n"])
+        frames = rotations(bent, laws.law.axes)
     if design.pair.focus is not None and placed.law.theta != 0.0:
         built, thin = (
             _both(np.stack([size, np.ones(len(size))])) for size in inclined_sizes(placed, design, cells)
         )
         sizes = CellSizes(built, thin, np.ones((len(cells), 2)))
         return Targets(cells, deltas, slopes, sizes, key=PAIR.focus)
-    return Targets(cells, deltas, slopes, sizes, turns)
+    return Targets(cells, deltas, slopes, sizes, turns, frames)
 
 
-def _light(window: Window, targets: Targets, first: Floats, slope: Pair2, aims: bool) -> CellLight:
+def _light(window: Window, targets: Targets, first: Floats, slope: Pair2 | Floats, aims: bool) -> CellLight:
     """Light of the chief ray of each cell, its expected exit direction, and what both depend on.
 
     The moves are functions of slope and law. Where both are linear in the place of the cell, they are
@@ -299,10 +355,12 @@ def _light(window: Window, targets: Targets, first: Floats, slope: Pair2, aims: 
         variables.append(etas if (etas[:, 0] != etas[:, 1]).any() else etas[:, :1])
     if targets.turns is not None:
         variables.append(targets.turns[:, :2, 0])
+        if targets.turns[:, :2, 2].any():
+            variables.append(targets.turns[:, :2, 2])
     if targets.sizes is not None:
         ratio = np.full((len(targets.cells), 2), ratios_of(window.law)) if etas is None else etas
         fill = np.minimum(1.0, 1.0 / np.abs(ratio).max(axis=1))
-        own = OwnLenses(*_scales_of_all(targets.sizes), fill, targets.turns)
+        own = OwnLenses(*_scales_of_all(targets.sizes), fill, targets.frames)
     return CellLight(targets.slopes, asked, first, np.column_stack(variables), targets.key, slope, own)
 
 
@@ -317,27 +375,40 @@ def _by_rule(window: Window, targets: Targets, focal: Floats, turn: Floats, size
         deltas = deltas * size
     over = deltas - (law.delta_x, law.delta_y)
     lens = np.where(over == 0.0, 0.0, over * np.where(np.isfinite(focal), focal, 0.0))
-    if targets.turns is None:
+    if targets.frames is None:
         return np.asarray(lens @ turn[:2, :2].T)
-    return np.asarray(np.einsum("nij,nj->ni", targets.turns[:, :2, :2], lens))  # a table's law has no offset
+    return np.asarray(np.einsum("nij,nj->ni", targets.frames[:, :2, :2], lens))  # a table's law has no offset
 
 
 # -- lenses --------------------------------------------------------------------------------------------
 
 
-def _with_tables(window: Window, targets: Targets, table: Floats, slope: Pair2) -> Window:
-    """Window with lenses 2 displaced by `table` (n, 2), lengths, in addition, and lenses of many sizes."""
+def _with_tables(
+    window: Window, targets: Targets, table: Floats, slope: Pair2, lean: Floats | None
+) -> Window:
+    """Window with lenses 2 displaced by `table` (n, 2), lengths, in addition, and lenses of many sizes;
+    `lean` as `_leaned` has it.
+    """
     sizes: list[dict[str, Any]] = [{}, {}]
     if targets.sizes is not None:
-        sizes = _tables(window, targets, targets.sizes.built)
-    moved = as_table(window.lattice, targets.cells, table)
+        sizes = _tables(window, targets, targets.sizes.built, targets.frames)
+    leans = iter(() if lean is None else lean)
 
     def changed(face: Face) -> Face:
+        place, own = table, next(leans, None)
+        if face.array not in (0, 1):
+            return face
+        told = sizes[face.array]
+        if own is not None:
+            rise = own[:, 2] + (table * targets.climb).sum(axis=1) * face.array
+            place = own[:, :2] + table * face.array
+            told = told | {"lift": as_table(window.lattice, targets.cells, rise)}
         if face.array == 1:
-            return replace(face, change=_change(face.change, moved, slope, sizes[1]))
-        if face.array == 0 and sizes[0]:
-            return replace(face, change=VertexChange(**sizes[0]))
-        return face
+            moved = as_table(window.lattice, targets.cells, place)
+            return replace(face, change=_change(face.change, moved, slope, told))
+        if own is not None:
+            told = told | {"table": as_table(window.lattice, targets.cells, place)}
+        return replace(face, change=VertexChange(**told)) if told else face
 
     return replace(window, bodies=changed_faces(window.bodies, changed))
 
@@ -407,13 +478,20 @@ def _thin(window: Window, targets: Targets, inclined: bool) -> ThinPair:
     pair, sizes = window.thin, targets.sizes
     ratio = None if sizes is None or inclined else sizes.thin[0]
     focal = thin_pair(ratios_of(window.law), pair.separation)[0] if inclined else pair.focal_length[0]
-    ideal = _by_rule(window, targets, np.array(focal), pair.rotation, ratio)
+    ideal = _by_rule(window, replace(targets, frames=targets.turns), np.array(focal), pair.rotation, ratio)
     if inclined:
         ideal = ideal - _followed(pair.second, window, targets.cells)
-    size: list[dict[str, Any]] = [{}, {}] if sizes is None else _tables(window, targets, sizes.thin)
-    change = _change(
-        pair.change, as_table(window.lattice, targets.cells, ideal), lens_plane_slope(pair.rotation), size[1]
-    )
+    size: list[dict[str, Any]] = [{}, {}]
+    if sizes is not None:
+        size = _tables(window, targets, sizes.thin, targets.turns)
+    slope, turns = lens_plane_slope(pair.rotation), targets.turns
+    if turns is not None and (turns[:, :2, 2].any() or any(slope)):
+        axis = turns[:, :, 2]
+        rise = -(ideal * axis[:, :2]).sum(axis=1) / axis[:, 2]
+        lean = pair.separation * (axis - pair.rotation[:, 2])
+        ideal, slope = ideal + lean[:, :2], (0.0, 0.0)
+        size[1]["lift"] = as_table(window.lattice, targets.cells, rise + lean[:, 2])
+    change = _change(pair.change, as_table(window.lattice, targets.cells, ideal), slope, size[1])
     first = VertexChange(**size[0]) if size[0] else None
     return replace(pair, change=change, change_1=first, field=_thin_fields(window, targets))
 
@@ -429,10 +507,10 @@ def _change(
     return VertexChange(affine.gradient, table, slope, climb=climb, **size)
 
 
-def _tables(window: Window, targets: Targets, sizes: Floats) -> list[dict[str, Any]]:
+def _tables(window: Window, targets: Targets, sizes: Floats, frames: Floats | None) -> list[dict[str, Any]]:
     """Size, aspect where it differs from 1, and lens axes of both lenses as `VertexChange` has them."""
     size, aspect = _scales(sizes)
-    each = {"size": size, "aspect": aspect, "rotation": targets.turns}
+    each = {"size": size, "aspect": aspect, "rotation": frames}
     made = [
         {
             name: as_table(window.lattice, targets.cells, one if name == "rotation" else one[k], 1.0)
@@ -470,19 +548,23 @@ def _scales_of_all(sizes: CellSizes) -> tuple[Floats, Floats | None]:
     return np.concatenate([size, field.size]), np.concatenate(flat)
 
 
-def _refuse_far(window: Window, targets: Targets, table: Floats, aims: bool) -> None:
+def _refuse_far(
+    window: Window, targets: Targets, table: Floats, aims: bool, lean: Floats | None = None
+) -> None:
     """Refuse a lens whose cell reaches too far from its vertex for its radius, naming the worst."""
     if window.cell_laws is None:
         return  # the steepest cell is known without tables
     cells = targets.cells
     half = tile = window.lattice_of(1).tile().max(axis=0)
-    for face in window.faces:
+    for number, face in enumerate(window.faces):
         if face.array != 1:
             continue
         still = 0.0 if face.change is None else face.change.at(window.lattice, cells)
         at = np.asarray(face.vertex[:2]) + (still + table)
-        if targets.turns is not None:  # along the lens axes
-            own = targets.turns[:, :2, :2]
+        if lean is not None:
+            at = at + lean[number, :, :2]
+        if targets.frames is not None:  # along the lens axes
+            own = targets.frames[:, :2, :2]
             at, half = np.einsum("nij,ni->nj", own, at), np.einsum("nij,i->nj", np.abs(own), tile)
         place = np.abs(at) + half
         curved = np.broadcast_to(np.abs([face.surface.curvature_x, face.surface.curvature_y]), place.shape)
