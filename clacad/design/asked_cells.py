@@ -84,13 +84,13 @@ def cell_laws(design: Requested) -> CellLaws:
 
 
 def cut_across(design: Requested) -> bool:
-    """Whether cells would cut across the cylinders of a field lens of two η, or a baffle interrupt them: its
-    faces are then curved along both axes, as those of a table of such cells.
+    """Whether cells or their tilt would cut the cylinders of a field lens of two η, or a baffle interrupt
+    them: its faces are then curved along both axes, as those of a table of such cells.
     """
     eta, euler = design.law_spec.eta, design.law_spec.euler_degrees
     if not design.pair.field_lens or eta[0] == eta[1]:
         return False
-    turned = bool((euler[0] + euler[2]) % 90.0)
+    turned = bool(euler[1] or (euler[0] + euler[2]) % 90.0)
     return turned or design.lattice.kind == "hexagonal" or (design.body.baffle and design.pair.form != "slab")
 
 

@@ -410,16 +410,7 @@ def field_lens_has_a_focus(a: Asked) -> Iterator[Mistake]:
 
 
 def _cylinders_are_made(a: Asked, form: str, euler: tuple[float, float, float]) -> Iterator[Mistake]:
-    """Cylinders need no tilt; cells that cut across them need one law and one pitch."""
-    if euler[1] != 0.0 and form == "biconvex":
-        yield Mistake(
-            "CL127",
-            f"theta = {euler[1]:g} deg with eta_x and eta_y that differ: the cylinders of the field lens "
-            "would fall into steps",
-            f"{LAW.euler}.1",
-            allowed="theta = 0",
-            hint="eta_x = eta_y, or theta = 0",
-        )
+    """Cells that cut across cylinders need one law and one pitch."""
     turned = (euler[0] + euler[2]) % 90.0
     why = (
         (a(LATTICE.kind) == "hexagonal", LATTICE.kind, "hexagonal cells"),
@@ -455,7 +446,7 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
         return
     sharp = a(PAIR.focus) is not None
     kind = "sharp" if sharp else form
-    if euler[1] != 0.0 and (form != "biconvex" or sharp):
+    if euler[1] != 0.0 and ((form == "plano" and a(PAIR.curved) != "inside") or sharp):
         yield Mistake(
             "CL127",
             f"theta = {euler[1]:g} deg: a field lens of a tilted {kind} pair is not made",

@@ -150,13 +150,13 @@ CL123 | A sheet cannot be aimed there: lens 2 would be used too far from its ver
   | The message names the cell and a distance of the viewer from which it works; a smaller sheet or p/s
   helps too.
 CL124 | The table of law.varying is not there, not in the design's folder, has changed, or holds something
-  else than one delta, and perhaps one eta and one turn, for each cell.
+  else than one delta, and perhaps one eta and its angles, for each cell.
   | A cell without a delta has no lens; a table from anywhere is taken as text and numbers only, never as a
   program.
-  | i,j,delta_x,delta_y, perhaps followed by eta, or by eta_x and eta_y, and by phi and psi, and one row for
-  each cell; or an NPZ array delta (n1, n2, 2), perhaps eta, or eta_x and eta_y, phi and psi (n1, n2); eta of
-  both axes or of one, on the same side of 0 and of 1 as law.eta, so that both lenses keep their signs; phi
-  and psi in degrees, in place of those of law.euler, whose theta is 0 for all cells
+  | i,j,delta_x,delta_y, perhaps followed by eta, or by eta_x and eta_y, and by phi, theta, psi, and one row
+  for each cell; or an NPZ array delta (n1, n2, 2), perhaps eta, or eta_x and eta_y, phi, theta, psi (n1, n2);
+  eta of both axes or of one, on the same side of 0 and of 1 as law.eta, so that both lenses keep their signs;
+  phi, theta and psi in degrees, in place of those of law.euler
   | Correct the row and column that the message names.
 CL125 | The sheet is non-uniform and has a feature that only uniform sheets have; or biconvex neighbours
   differ in eta by more than 0.05.

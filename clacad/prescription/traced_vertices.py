@@ -141,7 +141,7 @@ class CellLight:
             asked=self.asked[rows],
             first=self.first[rows],
             variable=self.variable[rows],
-            climb=self.climb[rows] if np.ndim(self.climb) == 2 else self.climb,
+            climb=self.climb if isinstance(self.climb, tuple) else self.climb[rows],
             own=None if self.own is None else self.own.of(rows),
             slides=None if self.slides is None else self.slides[:, rows],
         )

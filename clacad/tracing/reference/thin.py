@@ -179,8 +179,8 @@ def _patch(
         cells = layout.lattice.cells() if leans else extreme_cells(change, layout.lattice)
         places = change.places((0.0, 0.0, 0.0), layout.lattice, cells)
         axis = axis[None] if places.rotation is None else places.rotation[..., 2]
-        tile = tile - places.moved[:, None]
-        heights = -(tile * axis[:, None, :2]).sum(axis=2) / axis[:, 2:] + places.rise[:, None]
+        across = tile - np.stack(places.apex[:2], axis=-1)[:, None]
+        heights = np.reshape(places.apex[2], (-1, 1)) - (across * axis[:, None, :2]).sum(axis=2) / axis[:, 2:]
     pad = 1e-9 * layout.lattice.circumradius
     f_x, f_y = focal_length
     return ThinPatch(
