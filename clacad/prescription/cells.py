@@ -37,6 +37,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
+from clacad.base.vectors import xy
 from clacad.design.asked_cells import cut_across
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.optics.law.focusing import ratios_of, refract_each
@@ -161,7 +162,7 @@ def with_own_cells(window: Window, intent: Intent, field: FieldCells | None = No
         _refuse_many(design.lattice.count, aims)
     if varying:
         window = replace(window, cell_laws=intent.laws)
-    placed = _placed(window, design, field)
+    placed = _placed(window, intent, field)
     if field is not None:
         placed = placed_field(placed, field, window.shifts[1])
     if placed.uniform:
@@ -176,6 +177,7 @@ def with_own_cells(window: Window, intent: Intent, field: FieldCells | None = No
         targets = replace(targets, frames=np.broadcast_to(lens_turn, (len(targets.cells), 3, 3)))
     apart = placed.shifts[1] + _followed(placed.placements[1], placed, targets.cells)
     ways = None if field is None else _ways(window, targets, lens_turn, apart)
+    follows = placed.placements[1].own and not aims  # lenses 2 follow their cells
     lean, ways = _leaned(window, design, targets, lens_turn), None
     if field is not None:
         apart = placed.shifts[1] + _followed(placed.placements[1], placed, targets.cells)
@@ -185,7 +187,7 @@ def with_own_cells(window: Window, intent: Intent, field: FieldCells | None = No
     slope = (0.0, 0.0) if placed.cell_laws is None or lean is not None else lens_plane_slope(lens_turn)
     table = np.zeros(targets.slopes.shape)
     if varying:
-        table = _asked(window, placed, intent, field, targets)
+        table = _asked(window, placed, intent, field, targets, follows)
         _refuse_far(placed, targets, table, aims, lean)
     if (
         targets.sizes is not None
@@ -207,13 +209,20 @@ def with_own_cells(window: Window, intent: Intent, field: FieldCells | None = No
         table = table + _moves(window, placed, targets.cells, light)
         _refuse_far(placed, targets, table, aims, lean)
     made = _with_tables(placed, targets, table, slope, lean)
-    return replace(made, thin=_thin(placed, targets, inclined)) if varying else made
+    return replace(made, thin=_thin(placed, targets, inclined, follows)) if varying else made
 
 
 def _asked(
-    window: Window, placed: Window, intent: Intent, field: FieldCells | None, targets: Targets
+    window: Window,
+    placed: Window,
+    intent: Intent,
+    field: FieldCells | None,
+    targets: Targets,
+    follows: bool,
 ) -> Floats:
-    """Displacement (n, 2) of lenses 2 by the δ of their laws, lengths."""
+    """Displacement (n, 2) of lenses 2 by the δ of their laws, lengths, besides that of cells that they
+    follow.
+    """
     ratio = None if targets.sizes is None else targets.sizes.focal
     focal = window.recipe["f"][0] if field is None or field.focal is None else field.focal
     inclined = intent.design.pair.focus is not None and window.law.theta != 0.0
@@ -221,8 +230,9 @@ def _asked(
         focal = chief_focal_lengths(intent.design, *(window.recipe[name] for name in "Tns"))
     turn = next(face.rotation for face in window.faces if face.array == 1)
     table = _by_rule(window, targets, np.array(focal), turn, ratio)
-    if inclined:  # lenses 2 follow their cells
-        table = table - _followed(placed.placements[1], placed, targets.cells)
+    if follows:
+        kept = 1.0 if field is None else 1.0 - field.drift
+        table = table - kept * _followed(placed.placements[1], placed, targets.cells)
     return table
 
 
@@ -311,17 +321,29 @@ def _followed(place: CellPlacement, window: Window, cells: Ints) -> Floats:
     return np.asarray(place.lattice(lattice).centres(cells) - lattice.centres(cells))
 
 
-def _placed(window: Window, design: Design, field: FieldCells | None) -> Window:
+def _placed(window: Window, intent: Intent, field: FieldCells | None) -> Window:
     """Window with the cells of array 2 where they belong; the offset of lens 2 from lens 1 is unchanged, or
     follows its cell where array 2 has a pitch of its own.
     """
-    if design.pair.focus is not None:
-        return with_focus(window, design, None if field is None else field.spread_focal)
-    if design.lattice.pitch_2 is not None or design.lattice.rotation_2:
-        return with_pitch_2(window, design, None if field is None else field.spread_focal)
+    design, spread = intent.design, with_pitch_2 if intent.design.pair.focus is None else with_focus
+    if design.pair.focus is not None or design.lattice.pitch_2 is not None or design.lattice.rotation_2:
+        made = spread(window, design, None if field is None else _spread_focal(window, intent, field))
+        if made.cell_laws is None or intent.laws.ratios is None:
+            return made
+        return replace(made, cell_laws=replace(made.cell_laws, ratios=intent.laws.ratios))
     if isinstance(design.lattice.aperture, AimedAt):
         return aimed(window, design, field)
     return window
+
+
+def _spread_focal(window: Window, intent: Intent, field: FieldCells) -> Pair2 | None:
+    """As `FieldCells.spread_focal`, where field faces have power of their own along both axes, too."""
+    if intent.etas_along_axes is None:
+        return field.spread_focal
+    cells, etas = window.lattice.cells()[:1], intent.etas_along_axes[[0, 0]]
+    _, over, toric_field = _with_toric(window, intent.design, cells, etas, thick_lenses(intent.design))
+    focal = np.array(window.recipe["f"][0] if field.focal is None else field.focal)
+    return xy((focal * over / (1.0 - field.drift - toric_field.pull))[0])
 
 
 def _refuse_many(count: tuple[int, int], aims: bool) -> None:
@@ -560,13 +582,13 @@ def _thin_fields(window: Window, targets: Targets) -> tuple[FieldLens, ...]:
     return tuple(made)
 
 
-def _thin(window: Window, targets: Targets, inclined: bool) -> ThinPair:
+def _thin(window: Window, targets: Targets, inclined: bool, follows: bool) -> ThinPair:
     """Ideal pair of a window whose law varies, or with inclined planes that its pairs image."""
     pair, sizes = window.thin, targets.sizes
     ratio = None if sizes is None or inclined else sizes.thin[0]
     focal = thin_pair(ratios_of(window.law), pair.separation)[0] if inclined else pair.focal_length[0]
     ideal = _by_rule(window, replace(targets, frames=targets.turns), np.array(focal), pair.rotation, ratio)
-    if inclined:
+    if follows:
         ideal = ideal - _followed(pair.second, window, targets.cells)
     size: list[dict[str, Any]] = [{}, {}]
     if sizes is not None:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
-from clacad.design.sections import PAIR
+from clacad.design.sections import LAW, PAIR
 from clacad.optics.surface import Quadric
 from clacad.prescription.assemble import assemble_window
 from clacad.prescription.best_recipe import best_scale
@@ -170,6 +170,14 @@ def plano_with_field(intent: Intent, lenses: LensPair) -> Window:
     """Window of two plano lenses with the field plate between them; curved outside nothing is tilted."""
     n, (t1, t2), separation = intent.index, lenses.thickness, separation_of(intent)
     outside = intent.design.pair.form == "slab" or intent.design.pair.curved == "outside"
+    if outside and intent.steepest:
+        raise NoSuchLens(
+            "a field lens of plano lenses that lean: their planes bend the axis towards it, and give it a focus"
+            " along and one across the tilt",
+            key=LAW.euler,
+            hint='theta = 0 in all cells, pair.curved = "inside", or another form',
+            code="CL127",
+        )
     first, second = thin_pair(intent.eta, separation)
     glass = (t1, t2) if outside else (0.0, 0.0)
     before, behind = min(first) - glass[0] / n, min(second) - glass[1] / n

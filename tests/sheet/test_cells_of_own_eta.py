@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 
 import clacad
 from clacad.base.sobol import sobol
+from clacad.design import asked_cells
 from clacad.design.combinations import REASONS
 from clacad.design.faces import face_table
 from clacad.mesh import check_closed, tessellate
@@ -259,6 +260,54 @@ def test_one_law_of_two_eta_whose_cells_would_cut_cylinders_has_field_faces_curv
     seen = clacad.trace(own, clacad.Rays(start, ray))
     exact = np.array([own.law.refract(ray)] * len(cells))
     assert np.abs(seen.direction - exact).max() < 4e-4
+
+
+FOLLOWING = {
+    "another pitch": {"lattice__kind": "hexagonal", "lattice__pitch_2": 0.5013, "pair__field": {"gap": 0.8}},
+    "turned array": {**FORMS["plano"], "law__euler": [30, 0, 0], "lattice__rotation_2": "1.5 mrad"},
+    "another pitch, tilted": {"law__euler": [20, 3, 0], "lattice__pitch_2": 0.5013, "pair__field": {"gap": 0.8}},
+    "varying": {**FORMS["biconvex"], "law__euler": [30, 0, 0], "gradient": [[1e-3, 4e-4], [-3e-4, 1.2e-3]]},
+}  # fmt: skip
+"""As `CUT_ACROSS`, with offsets that grow over the sheet."""
+
+
+@pytest.mark.parametrize("form", FOLLOWING)
+def test_two_eta_cut_across_go_with_offsets_that_grow_over_the_sheet(tmp_path, form):
+    """Each cell afocal by matrices; light of its own slope leaves by its own law, thin and traced."""
+    raw, keys = json.loads(json.dumps(BASE)), dict(FOLLOWING[form])
+    raw["law"] = {"eta": [-1.0, -1.1], "euler": keys.pop("law__euler", [0, 0, 0])}
+    if (gradient := keys.pop("gradient", None)) is not None:
+        raw["law"]["varying"] = {"gradient": gradient}
+    keys |= {"pair__field_lens": True, "pair__offset": "paraxial", "lattice__count": [4, 3]}
+    keys.pop("pair__surface", None)
+    for key, value in keys.items():
+        section, _, name = key.partition("__")
+        raw[section][name] = value
+    del raw["pair"]["surface"]
+    window = clacad.prescribe(clacad.Design.from_dict(raw))
+    cells = window.lattice.cells()
+    for cell in cells:
+        for axis, eta in zip("xy", (-1.0, -1.1), strict=True):
+            (_, _), (bends, magnifies) = matrix(window, cell, axis)
+            assert abs(bends) < 1e-12
+            assert magnifies == pytest.approx(1.0 / eta, rel=1e-12)
+    ray = np.column_stack([aperture_slopes(window, cells), np.ones(len(cells))])
+    start = np.column_stack([window.lattice.centres(cells) + [0.02, 0.01], np.zeros(len(cells))]) - ray
+    exact = np.array([window.law_at(cell).refract(one) for cell, one in zip(cells, ray, strict=True)])
+    assert np.ptp(exact, axis=0)[:2].min() > 1e-4
+    for rung, off in (("thin", 1e-14), ("surfaces", 2e-6)):
+        seen = clacad.trace(window, clacad.Rays(start, ray), rung=rung)
+        assert (seen.fate == Fate.ALIVE).all()
+        assert np.abs(seen.direction - exact).max() < off
+
+
+def test_a_law_read_once_serves_all_that_ask_for_it(tmp_path, monkeypatch):
+    """A table of a field lens, whose thickness is found by trials, is read from its file once."""
+    made = field_design(tmp_path, "two axes, biconvex", pair__thickness="auto", lattice__count=[3, 3])
+    calls, read = [], asked_cells.read_table
+    monkeypatch.setattr(asked_cells, "read_table", lambda *given: calls.append(given) or read(*given))
+    clacad.prescribe(made)
+    assert len(calls) == 1
 
 
 def test_two_field_faces_are_the_crossed_cylinders_at_the_distance_of_their_foci(tmp_path):
@@ -693,6 +742,13 @@ def test_plates_under_the_whole_sheet_leave_a_pair_that_leans_the_least_power_by
             left.append(np.sqrt((parabasal(seq, turn, np.zeros(3), 1e-3).cosines ** 2).sum()))
         assert left[1] < min(left[0], left[2])
         assert left[1] < 3e-4
+
+
+def test_a_field_lens_behind_planes_that_lean_cell_by_cell_is_refused(tmp_path):
+    keys = {**FORMS["plano"], "pair__field_lens": True, "pair__surface": None, "lattice__count": [3, 3]}
+    with pytest.raises(clacad.DesignError, match="CL127") as caught:
+        built(tmp_path, None, still, leaning, **keys)
+    assert "along and one across the tilt" in caught.value.mistakes[0].message
 
 
 def test_foci_too_far_apart_for_two_plates_are_refused_with_the_gap_that_works(tmp_path):
