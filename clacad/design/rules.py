@@ -409,26 +409,6 @@ def field_lens_has_a_focus(a: Asked) -> Iterator[Mistake]:
             )
 
 
-def _cylinders_are_made(a: Asked, form: str, euler: tuple[float, float, float]) -> Iterator[Mistake]:
-    """Cells that cut across cylinders do without planes that are imaged."""
-    turned = (euler[0] + euler[2]) % 90.0
-    why = (
-        (a(LATTICE.kind) == "hexagonal", LATTICE.kind, "hexagonal cells"),
-        (bool(turned), f"{LAW.euler}.0", f"lenses turned by {turned:g} deg"),
-        (bool(a(BODY.baffle)) and form != "slab", BODY.baffle, "a baffle in the plate"),
-    )
-    other = [PAIR.focus] if a(PAIR.focus) else []
-    for key, what in ((key, what) for given, key, what in why if given and other):
-        yield Mistake(
-            "CL127",
-            f"eta_x and eta_y differ, {what} and {other[0]}: both faces of the field lens are curved along"
-            f" both axes, at which {other[0]} has no one focus",
-            key,
-            allowed=f"without {other[0]}, or eta_x = eta_y",
-            hint=f"eta_x = eta_y, or leave {other[0]} out",
-        )
-
-
 def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
     """No plane bends the axis towards the lens, nor do imaged planes lean; its keys need a lens."""
     if a.given(PAIR.field) and a(PAIR.field_lens) is False:
@@ -451,8 +431,15 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
             allowed="theta = 0",
             hint="theta = 0" if sharp else 'pair.curved = "inside", or theta = 0',
         )
-    if eta[0] != eta[1]:
-        yield from _cylinders_are_made(a, form, euler)
+    if eta[0] != eta[1] and sharp and a(BODY.baffle) and form != "slab":
+        yield Mistake(
+            "CL127",
+            "eta_x and eta_y differ, a baffle in the plate and pair.focus: both faces of the field lens are curved"
+            " along both axes, at which pair.focus has no one focus",
+            BODY.baffle,
+            allowed="baffle = false, or eta_x = eta_y",
+            hint="eta_x = eta_y, or no baffle",
+        )
     field = a(PAIR.field)
     if field is not None and field.gap is not None and form != "slab":
         yield Mistake(

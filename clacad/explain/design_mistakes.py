@@ -110,8 +110,8 @@ CL126 | A field lens is requested where the common focus is virtual (eta > 0) or
   | 1/f_F = 1/f1 + 1/f2,  f_F = −η s/(1 − η)²
   | Take eta < 0 in both meridians, or leave pair.field_lens out.
 CL127 | A field lens in a form or tilt that it is not made for: tilted plano pairs curved outside, tilted
-  pairs with pair.focus, pair.focus with eta_x and eta_y that differ and cells, lenses or a baffle that cut
-  across the lens axes; given faces of one eta for cells of two.
+  pairs with pair.focus, a baffle with pair.focus where eta_x and eta_y differ; given faces of one eta for
+  cells of two.
   | Planes of tilted plano lenses give the light a focus along and one across the tilt. Where eta_x and eta_y
   differ a field lens is two arrays of cylinders along the cells, or has two faces curved along both axes; given
   faces of two eta state one power each.
