@@ -434,8 +434,8 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
     if eta[0] != eta[1] and sharp and a(BODY.baffle) and form != "slab":
         yield Mistake(
             "CL127",
-            "eta_x and eta_y differ, a baffle in the plate and pair.focus: both faces of the field lens are curved"
-            " along both axes, at which pair.focus has no one focus",
+            "eta_x and eta_y differ, a baffle in the plate and pair.focus: both faces of the field lens are"
+            " curved along both axes, at which pair.focus has no one focus",
             BODY.baffle,
             allowed="baffle = false, or eta_x = eta_y",
             hint="eta_x = eta_y, or no baffle",

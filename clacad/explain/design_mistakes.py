@@ -113,8 +113,8 @@ CL127 | A field lens in a form or tilt that it is not made for: tilted plano pai
   pairs with pair.focus, a baffle with pair.focus where eta_x and eta_y differ; given faces of one eta for
   cells of two.
   | Planes of tilted plano lenses give the light a focus along and one across the tilt. Where eta_x and eta_y
-  differ a field lens is two arrays of cylinders along the cells, or has two faces curved along both axes; given
-  faces of two eta state one power each.
+  differ a field lens is two arrays of cylinders along the cells, or has two faces curved along both axes;
+  given faces of two eta state one power each.
   | 1/b1 = 1/d1 + (1 + d2/(η d1))/g,  1/b2 = 1/d2 + (1 + η d1/d2)/g  per axis, d1, g, d2 in air
   | Change one of the two as the message suggests: pair.curved = "inside", or law.eta of one number.
 CL128 | The field lens is so strong that its surface would end inside its cell.

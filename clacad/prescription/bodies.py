@@ -261,7 +261,7 @@ def plano_outside_axis(
 
 
 def glass_of_tilts(turns: Floats, etas: Floats, index: float, separation: float, gap: float) -> Floats:
-    """Glass (n,) of both lenses of plano pairs, perpendicular to the sheet, that leaves least power (lengths).
+    """Glass (n,), lengths perpendicular to the sheet, of both lenses of plano pairs that leaves least power.
 
     turns : (n, 3, 3). Lens → sheet; etas : (n, 2)
     gap : Air between the plane faces, perpendicular to the sheet.

@@ -505,7 +505,7 @@ def _with_field(
     turn: Floats,
     ways: tuple[Floats, Floats],
 ) -> Window:
-    """Window with the field faces of each cell; `ways` as `_ways` has them, `turn` lens → sheet of the law."""
+    """Window with the field faces of each cell; `ways` of `_ways`, `turn` lens → sheet of the law."""
     rows, (old, new), leans = iter(range(len(field.size))), ways, bool(targets.axes(turn)[:, :2].any())
     tilt = targets.axes(turn) - turn[:, 2]
 

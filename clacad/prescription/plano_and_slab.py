@@ -172,8 +172,8 @@ def plano_with_field(intent: Intent, lenses: LensPair) -> Window:
     outside = intent.design.pair.form == "slab" or intent.design.pair.curved == "outside"
     if outside and intent.steepest:
         raise NoSuchLens(
-            "a field lens of plano lenses that lean: their planes bend the axis towards it, and give it a focus"
-            " along and one across the tilt",
+            "a field lens of plano lenses that lean: their planes bend the axis towards it, and give it a"
+            " focus along and one across the tilt",
             key=LAW.euler,
             hint='theta = 0 in all cells, pair.curved = "inside", or another form',
             code="CL127",

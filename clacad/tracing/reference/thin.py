@@ -72,8 +72,8 @@ class ThinPatch:
     def over(
         self, layout: Layout, cell: Ints, local: Floats, z: Floats, direction: Floats
     ) -> tuple[Floats, Floats]:
-        """Distance (m,) of points of the cell frame over the patch's plane, along the lens axis, and component
-        (m,) of directions along it.
+        """Distance (m,) of points of the cell frame over the patch's plane, along the lens axis, and the
+        component (m,) of directions along it.
         """
         places = self.lenses(layout, cell)
         a, b, c = self._axis(places)
