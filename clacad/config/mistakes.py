@@ -47,7 +47,7 @@ CODES: dict[str, str] = {
     "CL124": "a table of cells that cannot be read",
     "CL125": "a non-uniform sheet with a feature that cannot be combined with it",
     "CL126": "a field lens for a pair without a real common focus",
-    "CL127": "a field lens in a form, lattice or tilt that it is not made for",
+    "CL127": "a field lens in a form or tilt that it is not made for",
     "CL128": "a field lens too steep for its cell",
     "CL129": "field faces without room between them",
     "CL141": "outline, corner, hole or pin that makes no plate",

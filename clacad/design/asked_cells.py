@@ -11,7 +11,7 @@ from clacad.base.types import Floats, Pair2
 from clacad.design.body import BodySpec
 from clacad.design.cell_table import read_table
 from clacad.design.sections import LatticeSpec, LawSpec, PairSpec
-from clacad.design.varying import Planes, gradient_of
+from clacad.design.varying import Planes, VaryingSpec, gradient_of
 from clacad.optics.law import Law
 from clacad.sheet.cell_places import CellLaws, as_table
 from clacad.sheet.lattice import Circle, Lattice, Rectangle
@@ -60,11 +60,16 @@ def cell_laws(design: Requested) -> CellLaws:
 
     Raises DesignError: The table cannot be read.
     """
-    law, spec = design.law, design.law_spec.varying
-    alike = _alike(design, design.law_spec.eta) if cut_across(design) else None
+    laws = _laws_of(design, design.law_spec.varying)
+    if laws.ratios is None and cut_across(design):
+        return replace(laws, ratios=_alike(design, design.law_spec.eta))
+    return laws
+
+
+def _laws_of(design: Requested, spec: VaryingSpec | None) -> CellLaws:
+    """As `cell_laws`, of cells that have the law's η unless a table states another."""
+    law = design.law
     if spec is None:
-        if alike is not None:
-            return CellLaws(law, table=_alike(design, design.law_spec.delta), ratios=alike)
         if design.pair.focus is None or law.theta == 0.0:
             return CellLaws(law)
         return CellLaws(law, table=_inclined_deltas(design, design.pair.focus))
@@ -72,8 +77,7 @@ def cell_laws(design: Requested) -> CellLaws:
         asked = design.law_spec
         found = read_table(design.path, spec.table, lattice_of(design), asked.eta, asked.euler_degrees)
         angles = None if found.euler is None else np.radians(found.euler)
-        etas = alike if found.etas is None else found.etas
-        return CellLaws(law, table=found.deltas, ratios=etas, angles=angles)
+        return CellLaws(law, table=found.deltas, ratios=found.etas, angles=angles)
     if spec.gradient is None and law.theta != 0.0:
         return CellLaws(law, table=_inclined_deltas(design, spec.conjugates, spec.f_image))
     rows = np.array(gradient_of(spec, design.law_spec.eta, design.pair.separation or 0.0))
@@ -84,13 +88,13 @@ def cell_laws(design: Requested) -> CellLaws:
 
 
 def cut_across(design: Requested) -> bool:
-    """Whether cells would cut across the cylinders of a field lens of two η, or a baffle interrupt them: its
-    faces are then curved along both axes, as those of a table of such cells.
+    """Whether cells or their tilt would cut the cylinders of a field lens of two η, or a baffle interrupt
+    them: its faces are then curved along both axes, as those of a table of such cells.
     """
     eta, euler = design.law_spec.eta, design.law_spec.euler_degrees
     if not design.pair.field_lens or eta[0] == eta[1]:
         return False
-    turned = bool((euler[0] + euler[2]) % 90.0)
+    turned = bool(euler[1] or (euler[0] + euler[2]) % 90.0)
     return turned or design.lattice.kind == "hexagonal" or (design.body.baffle and design.pair.form != "slab")
 
 

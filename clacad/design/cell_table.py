@@ -1,15 +1,16 @@
 """Tables of δ, and optionally η, for each cell, from an untrusted file: CSV or NPZ.
 
 CSV: the header ``i,j,delta_x,delta_y``, optionally followed by ``,eta`` or by ``,eta_x``, ``,eta_y`` or
-both, and by ``,phi``, ``,psi`` or both, and one row for each cell, in any order. i and j are the cell's
-indices as in `clacad.Lattice` (axial for hexagons). A byte order mark and Windows line ends are accepted.
+both, and by any of ``,phi``, ``,theta``, ``,psi``, and one row for each cell, in any order. i and j are the
+cell's indices as in `clacad.Lattice` (axial for hexagons). A byte order mark and Windows line ends are
+accepted.
 
 NPZ: an array ``delta`` (n1, n2, 2) of numbers, whose first index is the position in the row, and optionally
-``eta``, or ``eta_x`` and ``eta_y``, ``phi`` and ``psi`` (n1, n2); pickled data are not read.
+``eta``, or ``eta_x`` and ``eta_y``, ``phi``, ``theta``, ``psi`` (n1, n2); pickled data are not read.
 
 eta applies to both lens axes, eta_x and eta_y to one each; an axis that none of them names has the law's. It
-must lie on the same side of 0 and of 1 as the law's η, so that both lenses keep their signs. phi and psi are
-those of law.euler for one cell, in degrees: the turn of its lens axes about z where theta = 0.
+must lie on the same side of 0 and of 1 as the law's η, so that both lenses keep their signs. phi, theta and
+psi are those of law.euler for one cell, in degrees.
 
 A table has exactly one δ for each kept cell of the sheet. The design's canonical text contains the table's
 SHA-256, so that the design's hash covers its table.

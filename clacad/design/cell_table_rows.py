@@ -38,14 +38,11 @@ class NumberRows:
 
     columns : The header.
     key : Key of the design that names the file, "" where none does.
-    elsewhere : tuple of (str, str)
-        Prefixes of columns that do not belong to the table, and what to do instead.
     """
 
     path: str
     columns: tuple[str, ...]
     key: str = ""
-    elsewhere: tuple[tuple[str, str], ...] = ()
 
     def names(self) -> list[str]:
         """Columns of the header, valid or not. Raises DesignError: The header is not UTF-8, or too long."""
@@ -100,17 +97,7 @@ class NumberRows:
                 (k for k, pair in enumerate(zip(names, self.columns)) if pair[0] != pair[1]),
                 min(len(names), len(self.columns)),
             )
-            hint = next(
-                (way for start, way in self.elsewhere for name in names if name.startswith(start)), ""
-            )
-            self.refuse(
-                "the header is not the required one",
-                1,
-                line,
-                wrong,
-                allowed=",".join(self.columns),
-                hint=hint,
-            )
+            self.refuse("the header is not the required one", 1, line, wrong, allowed=",".join(self.columns))
 
     def _lines(self, stream: IO[bytes]) -> Iterator[list[str]]:
         """Blocks of rows after the header; empty lines at the end are ignored."""
@@ -181,11 +168,10 @@ class NumberRows:
 COLUMNS: Final = ("i", "j", "delta_x", "delta_y")
 ETAS: Final = {"eta": (0, 1), "eta_x": (0,), "eta_y": (1,)}
 """Names of optional columns and arrays, and the lens axes whose η they state: eta alone, or the others."""
-TURNS: Final = ("phi", "psi")
-"""Names of the optional columns and arrays after them: the angles of law.euler that cells may have."""
-NO_TILT: Final = "lenses of another tilt have other thicknesses: one tilt holds for all cells, law.euler"
-LARGEST_TURN: Final = 36000.0
-"""Largest angle in degrees, as for the key law.euler."""
+TURNS: Final = {"phi": 36000.0, "theta": 89.999, "psi": 36000.0}
+"""Names of the optional columns and arrays after them, the angles of law.euler that cells may have, and the
+largest of each in degrees, as for that key.
+"""
 LARGEST: Final = 1e6
 """Largest |δ| and |η|, as for the keys law.delta and law.eta."""
 LEAST_ETA: Final = 1e-6
@@ -228,7 +214,7 @@ class TableFile:
     @property
     def law(self) -> dict[str, float]:
         """The law's number in place of a column or an array that a table lacks."""
-        names = (*ETAS, "phi", "theta", "psi")
+        names = (*ETAS, *TURNS)
         return dict(zip(names, (self.eta[0], *self.eta, *self.euler), strict=True))
 
     def numbers(self) -> CellNumbers:
@@ -244,7 +230,7 @@ class TableFile:
     # --- CSV ------------------------------------------------------------------------------------------
 
     def _of_rows(self) -> CellNumbers:
-        rows = NumberRows(self.path, COLUMNS, self.key, (("theta", NO_TILT),))
+        rows = NumberRows(self.path, COLUMNS, self.key)
         names = rows.names()
         own = tuple(name for name in ETAS if name in names[4:])
         own = own[: 1 if "eta" in own else 2] + tuple(name for name in TURNS if name in names[4:])
@@ -266,12 +252,8 @@ class TableFile:
             law = {name: np.full(self.lattice.count, self.law[name]) for name in names}
             return np.stack([others.get(name, law[name]) for name in names], axis=-1)
 
-        euler = together("phi", "theta", "psi")
-        if euler is not None and self.euler[1] != 0.0:
-            why = "phi and psi of each cell: tilted lenses would each lean towards another side"
-            self.refuse(why, allowed=f"law.euler with theta = 0, found {self.euler[1]:g} deg")
         etas = others["eta"] if "eta" in others else together("eta_x", "eta_y")
-        return CellNumbers(deltas, etas, euler)
+        return CellNumbers(deltas, etas, together(*TURNS))
 
     def _enter(self, made: Floats, block: RowBlock, rows: NumberRows) -> None:
         """Write the numbers of a block of rows to their cells."""
@@ -329,7 +311,7 @@ class TableFile:
     def _has_lens(self, eta: Floats, name: str) -> Bools:
         """Whether each η (...) gives lenses of the law's signs, or each δ or angle is not too large."""
         if name not in ETAS:
-            return np.asarray(np.abs(eta) <= (LARGEST_TURN if name in TURNS else LARGEST))  # False for NaN
+            return np.asarray(np.abs(eta) <= TURNS.get(name, LARGEST))  # False for NaN
         low, high = _eta_range(self.eta[axis] for axis in ETAS[name])
         size = np.abs(eta)
         return np.asarray((low < eta) & (eta < high) & (size >= LEAST_ETA) & (size <= LARGEST))
@@ -337,7 +319,7 @@ class TableFile:
     def _allowed(self, name: str) -> str:
         """Describe the numbers that a column or an array may have."""
         if name not in ETAS:
-            most, unit = (LARGEST_TURN, " of degrees") if name in TURNS else (LARGEST, "")
+            most, unit = TURNS.get(name, LARGEST), " of degrees" if name in TURNS else ""
             return f"a number{unit} from -{most:g} to {most:g}"
         low, high = _eta_range(self.eta[axis] for axis in ETAS[name])
         if low >= high:

@@ -409,40 +409,8 @@ def field_lens_has_a_focus(a: Asked) -> Iterator[Mistake]:
             )
 
 
-def _cylinders_are_made(a: Asked, form: str, euler: tuple[float, float, float]) -> Iterator[Mistake]:
-    """Cylinders need no tilt; cells that cut across them need one law and one pitch."""
-    if euler[1] != 0.0 and form == "biconvex":
-        yield Mistake(
-            "CL127",
-            f"theta = {euler[1]:g} deg with eta_x and eta_y that differ: the cylinders of the field lens "
-            "would fall into steps",
-            f"{LAW.euler}.1",
-            allowed="theta = 0",
-            hint="eta_x = eta_y, or theta = 0",
-        )
-    turned = (euler[0] + euler[2]) % 90.0
-    why = (
-        (a(LATTICE.kind) == "hexagonal", LATTICE.kind, "hexagonal cells"),
-        (bool(turned), f"{LAW.euler}.0", f"lenses turned by {turned:g} deg"),
-        (bool(a(BODY.baffle)) and form != "slab", BODY.baffle, "a baffle in the plate"),
-    )
-    varying = a(LAW.varying)
-    other = [key for key in (PAIR.focus, LATTICE.pitch_2, LATTICE.rotation_2) if a(key)]
-    if varying is not None and varying.table is None:
-        other.insert(0, LAW.varying)
-    for key, what in ((key, what) for given, key, what in why if given and other):
-        yield Mistake(
-            "CL127",
-            f"eta_x and eta_y differ, {what} and {other[0]}: both faces of the field lens are curved along"
-            f" both axes and lens 2 follows its cell by another part along each, unknown to {other[0]}",
-            key,
-            allowed=f"without {other[0]}, or eta_x = eta_y",
-            hint=f"eta_x = eta_y, or leave {other[0]} out",
-        )
-
-
 def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
-    """A tilt needs a biconvex pair; separate foci need cells along the lens axes; its keys need a lens."""
+    """No plane bends the axis towards the lens, nor do imaged planes lean; its keys need a lens."""
     if a.given(PAIR.field) and a(PAIR.field_lens) is False:
         yield Mistake(
             "CL113",
@@ -455,16 +423,23 @@ def field_lens_is_made(a: Asked) -> Iterator[Mistake]:
         return
     sharp = a(PAIR.focus) is not None
     kind = "sharp" if sharp else form
-    if euler[1] != 0.0 and (form != "biconvex" or sharp):
+    if euler[1] != 0.0 and ((form == "plano" and a(PAIR.curved) != "inside") or sharp):
         yield Mistake(
             "CL127",
             f"theta = {euler[1]:g} deg: a field lens of a tilted {kind} pair is not made",
             f"{LAW.euler}.1",
             allowed="theta = 0",
-            hint="theta = 0" if sharp else 'pair.form = "biconvex", or theta = 0',
+            hint="theta = 0" if sharp else 'pair.curved = "inside", or theta = 0',
         )
-    if eta[0] != eta[1]:
-        yield from _cylinders_are_made(a, form, euler)
+    if eta[0] != eta[1] and sharp and a(BODY.baffle) and form != "slab":
+        yield Mistake(
+            "CL127",
+            "eta_x and eta_y differ, a baffle in the plate and pair.focus: both faces of the field lens are"
+            " curved along both axes, at which pair.focus has no one focus",
+            BODY.baffle,
+            allowed="baffle = false, or eta_x = eta_y",
+            hint="eta_x = eta_y, or no baffle",
+        )
     field = a(PAIR.field)
     if field is not None and field.gap is not None and form != "slab":
         yield Mistake(

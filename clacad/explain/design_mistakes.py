@@ -109,13 +109,14 @@ CL126 | A field lens is requested where the common focus is virtual (eta > 0) or
   | A field lens lies at the common focus of lens 1 and lens 2; with η > 0 it lies outside the pair.
   | 1/f_F = 1/f1 + 1/f2,  f_F = −η s/(1 − η)²
   | Take eta < 0 in both meridians, or leave pair.field_lens out.
-CL127 | A field lens in a form, tilt or lattice that it is not made for: tilted slabs and plano pairs, tilted
-  cells with an eta each; where law.eta has two numbers, hexagonal cells, lenses turned against the cells,
-  tilts, baffles; given faces of one eta for cells of two.
-  | Where law.eta has two numbers the field lens is two arrays of cylinders, which run along the cells or are
-  cut to pieces. Cells of a table with eta_x and eta_y, or with angles, have two faces curved along both axes.
+CL127 | A field lens in a form or tilt that it is not made for: tilted plano pairs curved outside, tilted
+  pairs with pair.focus, a baffle with pair.focus where eta_x and eta_y differ; given faces of one eta for
+  cells of two.
+  | Planes of tilted plano lenses give the light a focus along and one across the tilt. Where eta_x and eta_y
+  differ a field lens is two arrays of cylinders along the cells, or has two faces curved along both axes;
+  given faces of two eta state one power each.
   | 1/b1 = 1/d1 + (1 + d2/(η d1))/g,  1/b2 = 1/d2 + (1 + η d1/d2)/g  per axis, d1, g, d2 in air
-  | Change one of the two as the message suggests: law.eta of one number and a table of eta_x and eta_y.
+  | Change one of the two as the message suggests: pair.curved = "inside", or law.eta of one number.
 CL128 | The field lens is so strong that its surface would end inside its cell.
   | Light at the rim of the field would meet no lens.
   | R_F = (n − 1) f_F ≥ 1.05 p/2 (a sphere: half the cell's diagonal)
@@ -150,13 +151,13 @@ CL123 | A sheet cannot be aimed there: lens 2 would be used too far from its ver
   | The message names the cell and a distance of the viewer from which it works; a smaller sheet or p/s
   helps too.
 CL124 | The table of law.varying is not there, not in the design's folder, has changed, or holds something
-  else than one delta, and perhaps one eta and one turn, for each cell.
+  else than one delta, and perhaps one eta and its angles, for each cell.
   | A cell without a delta has no lens; a table from anywhere is taken as text and numbers only, never as a
   program.
-  | i,j,delta_x,delta_y, perhaps followed by eta, or by eta_x and eta_y, and by phi and psi, and one row for
-  each cell; or an NPZ array delta (n1, n2, 2), perhaps eta, or eta_x and eta_y, phi and psi (n1, n2); eta of
-  both axes or of one, on the same side of 0 and of 1 as law.eta, so that both lenses keep their signs; phi
-  and psi in degrees, in place of those of law.euler, whose theta is 0 for all cells
+  | i,j,delta_x,delta_y, perhaps followed by eta, or by eta_x and eta_y, and by phi, theta, psi, and one row
+  for each cell; or an NPZ array delta (n1, n2, 2), perhaps eta, or eta_x and eta_y, phi, theta, psi (n1, n2);
+  eta of both axes or of one, on the same side of 0 and of 1 as law.eta, so that both lenses keep their signs;
+  phi, theta and psi in degrees, in place of those of law.euler
   | Correct the row and column that the message names.
 CL125 | The sheet is non-uniform and has a feature that only uniform sheets have; or biconvex neighbours
   differ in eta by more than 0.05.

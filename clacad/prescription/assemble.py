@@ -61,7 +61,7 @@ def assemble_window(
     if _non_uniform(design) or design.pair.offset == "traced":
         from clacad.prescription.cells import with_own_cells
 
-        window = with_own_cells(window, design, field)
+        window = with_own_cells(window, intent, field)
     window = inside_both(replace(window, outline=side_outline(window)))
     return with_line(with_land(with_plate(window, design.body), design.lattice.seam_depth), design)
 

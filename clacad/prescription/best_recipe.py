@@ -20,7 +20,7 @@ from math import inf
 import numpy as np
 
 from clacad.base.types import Bools, Floats
-from clacad.design.asked_cells import cut_across
+from clacad.design.asked_cells import cell_laws, cut_across
 from clacad.design.sections import AimedAt
 from clacad.optics.fit import AskedLight, law_residuals, minimise
 from clacad.optics.law import angle_between
@@ -88,7 +88,7 @@ def _of_middle(intent: Intent) -> Intent:
         aperture = x / z + 0.0, y / z + 0.0
     lattice = replace(lattice, aperture=aperture, pitch_2=None, rotation_2=0.0)
     alike = replace(design, law_spec=replace(design.law_spec, varying=None), lattice=lattice)
-    return untraced(replace(intent, design=alike))
+    return untraced(replace(intent, design=alike, laws=cell_laws(alike)))
 
 
 def _light(intent: Intent, window: Window) -> AskedLight:

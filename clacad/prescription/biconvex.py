@@ -15,7 +15,6 @@ from clacad.prescription.bodies import LensPose, Listed, bodies_of, displacement
 from clacad.prescription.cell_heights import auto_thickness
 from clacad.prescription.field_lens import (
     Chief,
-    etas_along_axes,
     one_plate,
     plate_faces,
     split_plate,
@@ -85,7 +84,7 @@ def _with_thickness(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     if pair.field_lens:
         ideal = _around_field(intent, lenses, separation, thickness)
         rooms = [symmetric_foci(ideal.radius[k], thickness[k], intent.index) for k in (0, 1)]
-        near, own = min(ideal.focal_length[0]), etas_along_axes(intent.design)
+        near, own = min(ideal.focal_length[0]), intent.etas_along_axes
         if own is None:
             plate = one_plate(intent, ideal.focal_length, rooms[0], min(rooms[1]) - 0.5 * thickness[1])
         else:
@@ -123,10 +122,10 @@ def _with_thickness(intent: Intent, thickness: Pair2, scale: float = 1.0) -> Win
     axis = intent.turn[:, 2]
     height = float(relative @ axis) / axis[2]
     reduced = ideal.focal_length[0][0] + ideal.focal_length[1][0]
-    chief = Chief.of(intent, (np.array([*moved, height]) @ intent.turn)[:2], reduced)
+    chief = Chief.of(intent, (np.array([*moved, height]) @ intent.turn)[:2], reduced, intent.turn)
     through = plate.thickness / intent.index
     legs = ((near, 1.0), (plate.thickness, intent.index), (reduced - near - through, 1.0))
-    field, cells = plate_faces(intent, plate, chief, legs, 1)
+    field, cells = plate_faces(intent, plate, chief, legs, 1, intent.turn)
     bodies = bodies_of(intent.listed([*faces[:2], *field, *faces[2:]]))
     return assemble_window(intent, bodies, moved, lenses, offset, cells, plate.told)
 

@@ -237,25 +237,49 @@ def shared(rotation: Floats) -> Floats:
 # -- positions of lens 2 and of array 2's cells -----------------------------------------------------
 
 
-def plano_outside_axis(turn: Floats, index: float, thickness: Pair2, gap: float) -> Floats:
-    """Vector from V1 to V2 along the axis ray: glass, the refracted ray in the air gap, glass, (3,) lengths.
+def plano_outside_axis(
+    turn: Floats, index: float, thickness: tuple[float, Floats | float], gap: float
+) -> Floats:
+    """Vector from V1 to V2 along the axis ray: glass, the refracted ray in the air gap, glass, lengths.
 
+    turn : (3, 3), or (n, 3, 3) for n vectors (n, 3)
     `thickness` and `gap` are perpendicular to the sheet, as a caliper measures them.
 
     Raises NoSuchLens: The axis ray is totally reflected at the plane face.
     """
-    axis = turn[:, 2]
-    up = np.array([[0.0, 0.0, 1.0]])
-    air, _ = refract(axis[None], up, axis[None, 2], index, 1.0)
+    axis = turn[..., 2].reshape(-1, 3)
+    air, _ = refract(axis, np.broadcast_to((0.0, 0.0, 1.0), axis.shape), axis[:, 2], index, 1.0)
     if not np.isfinite(air).all():
         raise NoSuchLens(
-            f"a tilt of {np.degrees(np.arccos(axis[2])):.4g} deg sends the lens axis beyond total reflection"
-            " at the plane faces",
+            f"a tilt of {np.degrees(np.arccos(axis[:, 2].min())):.4g} deg sends the lens axis beyond total"
+            " reflection at the plane faces",
             key=LAW.euler,
             hint=f"theta < {np.degrees(asin(1.0 / index)):.4g} deg, or form = 'biconvex' or 'slab'",
         )
-    glass = axis / axis[2]
-    return np.asarray(glass * (thickness[0] + thickness[1]) + air[0] / air[0, 2] * gap)
+    glass = np.reshape(thickness[0] + thickness[1], (-1, 1))
+    return np.asarray(axis / axis[:, 2:] * glass + air / air[:, 2:] * gap).reshape(turn.shape[:-1])
+
+
+def glass_of_tilts(turns: Floats, etas: Floats, index: float, separation: float, gap: float) -> Floats:
+    """Glass (n,), lengths perpendicular to the sheet, of both lenses of plano pairs that leaves least power.
+
+    turns : (n, 3, 3). Lens → sheet; etas : (n, 2)
+    gap : Air between the plane faces, perpendicular to the sheet.
+
+    A plane face is astigmatic for the axis ray: of air g the lenses see g/cos θ' across the tilt, and
+    g cos²θ/cos³θ' along it, with sin θ' = n sin θ. The power left of the pair along each lens axis is
+    k (s − seen − glass/(n cos θ)), k = −(1 − η)²/(η s²); its squares are least here.
+    """
+    level = turns[:, 2, 2]
+    sine = np.sqrt(np.maximum(1.0 - level * level, 0.0))
+    air = np.sqrt(1.0 - (index * sine) ** 2)
+    along = np.divide(
+        turns[:, 2, :2], sine[:, None], out=np.zeros((len(turns), 2)), where=sine[:, None] > 0.0
+    )
+    seen = gap * (1.0 / air[:, None] + (level**2 / air**3 - 1.0 / air)[:, None] * along**2)
+    weight = ((1.0 - etas) ** 2 / etas) ** 2
+    mean = (weight * (separation - seen)).sum(axis=1) / weight.sum(axis=1)
+    return np.asarray(index * level * mean)
 
 
 def shallower(law: Law, index: float) -> Floats:

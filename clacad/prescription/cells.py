@@ -37,15 +37,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.types import Floats, Ints, Pair2
-from clacad.design.asked_cells import cell_laws, cut_across
+from clacad.base.vectors import xy
+from clacad.design.asked_cells import cut_across
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.optics.law.focusing import ratios_of, refract_each
+from clacad.optics.law.orientation import rotations
 from clacad.optics.surface import Quadric
 from clacad.prescription.aimed_cells import STEEPEST, AimPoint, aimed
-from clacad.prescription.bodies import FieldCells
+from clacad.prescription.bodies import FieldCells, glass_of_tilts, plano_outside_axis
 from clacad.prescription.field_lens import (
     FieldOfCells,
-    etas_along_axes,
     least_gap,
     mean_focus,
     plate_of_cells,
@@ -54,6 +55,7 @@ from clacad.prescription.field_lens import (
     thin_cylinders,
     toric,
 )
+from clacad.prescription.intent import Intent
 from clacad.prescription.radii import LensPair, NoSuchLens, biconvex_exact, thin_pair
 from clacad.prescription.sharp_pairs import (
     chief_focal_lengths,
@@ -116,7 +118,8 @@ class Targets:
     deltas : (n, 2). δ of each law.
     slopes : (n, 2). Slopes in air of the chief rays, sheet frame.
     sizes : None: one η, and one size of lenses.
-    turns : (n, 3, 3) or None. Lens → sheet of each cell; None: the sheet's in all.
+    turns : (n, 3, 3) or None. Lens → sheet of the law of each cell; None: the sheet's in all.
+    frames : (n, 3, 3) or None. The same of its lenses, which planes before and behind them may bend.
     key : Key of the design that errors name.
     """
 
@@ -125,18 +128,30 @@ class Targets:
     slopes: Floats
     sizes: CellSizes | None
     turns: Floats | None = None
+    frames: Floats | None = None
     key: str = LAW.varying
 
+    def axes(self, turn: Floats) -> Floats:
+        """Axes (n or 1, 3) of the lenses; `turn` (3, 3), lens → sheet, is that of the law."""
+        return turn[None, :, 2] if self.frames is None else self.frames[:, :, 2]
 
-def with_own_cells(window: Window, design: Design, field: FieldCells | None = None) -> Window:
-    """Return the window of a design's middle cell with the cells and lenses 2 that each cell's target needs.
+    @property
+    def climb(self) -> Floats:
+        """Rise (n, 2) of the planes of the lenses along sheet x and y; 0 where they have no own axes."""
+        if self.frames is None:
+            return np.zeros((len(self.cells), 2))
+        return np.asarray(-self.frames[:, :2, 2] / self.frames[:, 2:, 2] + 0.0)
+
+
+def with_own_cells(window: Window, intent: Intent, field: FieldCells | None = None) -> Window:
+    """Return the window of an intent's middle cell with the cells and lenses 2 that each cell's target needs.
 
     window : Uniform, for the law of the design's centre.
     field : Cells of a field lens.
     Raises NoSuchLens: CL121, CL125: too many vertices to trace; CL122: the viewer is too near; CL123: a lens
         would be used too far from its vertex, its cell is named.
-    Raises DesignError: The table of cells cannot be read.
     """
+    design = intent.design
     inclined = design.pair.focus is not None and window.law.theta != 0.0
     varying, offset = design.law_spec.varying is not None or inclined, design.pair.offset
     alike = cut_across(design)
@@ -146,48 +161,136 @@ def with_own_cells(window: Window, design: Design, field: FieldCells | None = No
     if varying or (traced and aims):
         _refuse_many(design.lattice.count, aims)
     if varying:
-        window = replace(window, cell_laws=cell_laws(design))
-    placed = _placed(window, design, field)
+        window = replace(window, cell_laws=intent.laws)
+    placed = _placed(window, intent, field)
     if field is not None:
         placed = placed_field(placed, field, window.shifts[1])
     if placed.uniform:
         return _moved_alike(window) if traced else window
-    if not varying and not traced:
+    lens_turn = next(face.rotation for face in window.faces if face.array == 1)
+    rises = aims and field is not None and bool(lens_turn[2, :2].any())  # lenses 2 that follow their cells
+    if not (varying or traced or rises):
         return placed
     aim = AimPoint(design.lattice.aperture.point) if isinstance(design.lattice.aperture, AimedAt) else None
-    targets = _targets(placed, design, aim)
-    lens_turn = next(face.rotation for face in window.faces if face.array == 1)
-    slope = (0.0, 0.0) if placed.cell_laws is None else lens_plane_slope(lens_turn)
+    targets = _targets(placed, intent, aim)
+    if rises and targets.frames is None:
+        targets = replace(targets, frames=np.broadcast_to(lens_turn, (len(targets.cells), 3, 3)))
+    apart = placed.shifts[1] + _followed(placed.placements[1], placed, targets.cells)
+    ways = None if field is None else _ways(window, targets, lens_turn, apart)
+    follows = placed.placements[1].own and not aims  # lenses 2 follow their cells
+    lean, ways = _leaned(window, design, targets, lens_turn), None
+    if field is not None:
+        apart = placed.shifts[1] + _followed(placed.placements[1], placed, targets.cells)
+        ways = _ways(window, targets, lens_turn, apart)
+        if lean is not None and field.drift:
+            lean = lean + _drifted(window, targets, lens_turn, field.drift, ways)
+    slope = (0.0, 0.0) if placed.cell_laws is None or lean is not None else lens_plane_slope(lens_turn)
     table = np.zeros(targets.slopes.shape)
     if varying:
-        ratio = None if targets.sizes is None else targets.sizes.focal
-        focal = window.recipe["f"][0] if field is None or field.focal is None else field.focal
-        if inclined:
-            focal = chief_focal_lengths(design, window.recipe["T"], window.recipe["n"], window.recipe["s"])
-        table = _by_rule(window, targets, np.array(focal), lens_turn, ratio)
-        if inclined:  # lenses 2 follow their cells
-            table = table - _followed(placed.placements[1], placed, targets.cells)
-        _refuse_far(placed, targets, table, aims)
-    if targets.sizes is not None and targets.sizes.field is not None:
-        apart = placed.shifts[1] + _followed(placed.placements[1], placed, targets.cells)
-        table = table + _pulled(targets, targets.sizes.field.pull, lens_turn, apart)
-        placed = _with_field(placed, targets, targets.sizes.field, apart)
+        table = _asked(window, placed, intent, field, targets, follows)
+        _refuse_far(placed, targets, table, aims, lean)
+    if (
+        targets.sizes is not None
+        and targets.sizes.field is not None
+        and field is not None
+        and ways is not None
+    ):
+        table = table + _pulled(targets, targets.sizes.field.pull, field, lens_turn, ways)
+        placed = _with_field(placed, targets, targets.sizes.field, field, lens_turn, ways)
     if traced:
         follow = _followed(placed.placements[1], placed, targets.cells)
         drift = 1.0 if not aims else 0.0 if field is None else field.drift
         first = table + drift * follow if drift and placed.placements[1].own else table
-        light = _light(placed, targets, first, slope, aims)
+        light = _light(placed, targets, first, slope if lean is None else targets.climb, aims)
+        slides = lean
         if field is not None:
-            light = replace(light, field=field_moves(window, placed, targets.cells))
+            slides = field_moves(window, placed, targets.cells) + (0.0 if lean is None else lean)
+        light = replace(light, slides=slides)
         table = table + _moves(window, placed, targets.cells, light)
-        _refuse_far(placed, targets, table, aims)
-    made = _with_tables(placed, targets, table, slope)
-    return replace(made, thin=_thin(placed, targets, inclined)) if varying else made
+        _refuse_far(placed, targets, table, aims, lean)
+    made = _with_tables(placed, targets, table, slope, lean)
+    return replace(made, thin=_thin(placed, targets, inclined, follows)) if varying else made
+
+
+def _asked(
+    window: Window,
+    placed: Window,
+    intent: Intent,
+    field: FieldCells | None,
+    targets: Targets,
+    follows: bool,
+) -> Floats:
+    """Displacement (n, 2) of lenses 2 by the δ of their laws, lengths, besides that of cells that they
+    follow.
+    """
+    ratio = None if targets.sizes is None else targets.sizes.focal
+    focal = window.recipe["f"][0] if field is None or field.focal is None else field.focal
+    inclined = intent.design.pair.focus is not None and window.law.theta != 0.0
+    if inclined:
+        focal = chief_focal_lengths(intent.design, *(window.recipe[name] for name in "Tns"))
+    turn = next(face.rotation for face in window.faces if face.array == 1)
+    table = _by_rule(window, targets, np.array(focal), turn, ratio)
+    if follows:
+        kept = 1.0 if field is None else 1.0 - field.drift
+        table = table - kept * _followed(placed.placements[1], placed, targets.cells)
+    return table
+
+
+def _leaned(window: Window, design: Design, targets: Targets, turn: Floats) -> Floats | None:
+    """Displacement (k, n, 3), lengths, of the faces of both lenses by axes of cells that lean otherwise than
+    the law's; 0 of other faces, None: no cell has such axes.
+
+    A pair turns about the middle of its lens 1 as one piece: `turn` (3, 3), lens → sheet of the law.
+    """
+    frames = targets.frames
+    if frames is None or not (frames[:, :2, 2].any() or turn[:2, 2].any()):
+        return None
+    found = np.zeros((len(window.faces), len(targets.cells), 3))
+    for lean, face in zip(found, window.faces, strict=True):
+        if face.array in (0, 1):
+            place = np.asarray(face.vertex) + [*window.shifts[face.array], 0.0]
+            lean += frames @ (place @ turn) - place
+    if window.form == "plano" and design.pair.curved == "outside" and not window.field_array:
+        found[-1] = _leaned_behind_planes(window, targets, turn)
+    return found
+
+
+def _drifted(
+    window: Window, targets: Targets, turn: Floats, drift: float, ways: tuple[Floats, Floats]
+) -> Floats:
+    """What `_leaned` lacks where lenses 2 follow their cells by `drift`: they do so along the sheet, in the
+    planes of their lenses.
+    """
+    (start, _), (old, _) = _ways(window, targets, turn, np.array([window.shifts[1]])), ways
+    found = np.zeros((len(window.faces), len(targets.cells), 3))
+    for lean, face in zip(found, window.faces, strict=True):
+        if face.array == 1 and targets.frames is not None:
+            lean += drift * (start - targets.frames @ (start[0] @ turn))
+            lean[:, 2] += drift * ((old[:, :2] * targets.climb).sum(axis=1) - start[0, 2])
+    return found
+
+
+def _leaned_behind_planes(window: Window, targets: Targets, turn: Floats) -> Floats:
+    """As `_leaned`, (n, 3), of lenses 2 of plano pairs: planes under the whole sheet bend the axis of a cell,
+    and its lens 2 has the glass that leaves it least power.
+    """
+    (first, second), index, separation = (window.recipe[name] for name in ("T", "n", "s"))
+    gap = window.bodies[1].front.vertex[2] - window.bodies[0].back.vertex[2]
+    frames, law = targets.frames, np.broadcast_to(turn, (len(targets.cells), 3, 3))
+    assert frames is not None  # the caller has found that they lean
+    etas = np.broadcast_to(ratios_of(window.law), (len(frames), 2))
+    if window.cell_laws is not None:
+        etas = window.cell_laws.ratios_of(window.lattice, targets.cells)
+    more = np.subtract(*(glass_of_tilts(one, etas, index, separation, gap) for one in (frames, law)))
+    start = plano_outside_axis(turn, index, (first, second), gap)
+    place = np.asarray(window.bodies[1].back.vertex) + [*window.shifts[1], 0.0]
+    aside = frames @ ((place - start) @ turn)
+    return np.asarray(plano_outside_axis(frames, index, (first, second + more), gap) + aside - place)
 
 
 def _moves(window: Window, placed: Window, cells: Ints, light: CellLight) -> Floats:
     """Moves (n, 2), lengths, of lenses 2, found once for cells that a turn about the axis makes the same."""
-    copies = 1 if light.own is not None or light.field is not None else turned_alike(placed)
+    copies = 1 if light.own is not None or light.slides is not None else turned_alike(placed)
     lattice = placed.lattice
     number = as_table(lattice, cells, np.arange(float(len(cells))))
     for copies in (k for k in (4, 2) if k <= copies):
@@ -218,17 +321,29 @@ def _followed(place: CellPlacement, window: Window, cells: Ints) -> Floats:
     return np.asarray(place.lattice(lattice).centres(cells) - lattice.centres(cells))
 
 
-def _placed(window: Window, design: Design, field: FieldCells | None) -> Window:
+def _placed(window: Window, intent: Intent, field: FieldCells | None) -> Window:
     """Window with the cells of array 2 where they belong; the offset of lens 2 from lens 1 is unchanged, or
     follows its cell where array 2 has a pitch of its own.
     """
-    if design.pair.focus is not None:
-        return with_focus(window, design, None if field is None else field.spread_focal)
-    if design.lattice.pitch_2 is not None or design.lattice.rotation_2:
-        return with_pitch_2(window, design, None if field is None else field.spread_focal)
+    design, spread = intent.design, with_pitch_2 if intent.design.pair.focus is None else with_focus
+    if design.pair.focus is not None or design.lattice.pitch_2 is not None or design.lattice.rotation_2:
+        made = spread(window, design, None if field is None else _spread_focal(window, intent, field))
+        if made.cell_laws is None or intent.laws.ratios is None:
+            return made
+        return replace(made, cell_laws=replace(made.cell_laws, ratios=intent.laws.ratios))
     if isinstance(design.lattice.aperture, AimedAt):
         return aimed(window, design, field)
     return window
+
+
+def _spread_focal(window: Window, intent: Intent, field: FieldCells) -> Pair2 | None:
+    """As `FieldCells.spread_focal`, where field faces have power of their own along both axes, too."""
+    if intent.etas_along_axes is None:
+        return field.spread_focal
+    cells, etas = window.lattice.cells()[:1], intent.etas_along_axes[[0, 0]]
+    _, over, toric_field = _with_toric(window, intent.design, cells, etas, thick_lenses(intent.design))
+    focal = np.array(window.recipe["f"][0] if field.focal is None else field.focal)
+    return xy((focal * over / (1.0 - field.drift - toric_field.pull))[0])
 
 
 def _refuse_many(count: tuple[int, int], aims: bool) -> None:
@@ -257,24 +372,32 @@ def _moved_alike(window: Window) -> Window:
 # -- targets -------------------------------------------------------------------------------------------
 
 
-def _targets(placed: Window, design: Design, aim: AimPoint | None) -> Targets:
+def _targets(placed: Window, intent: Intent, aim: AimPoint | None) -> Targets:
     """Targets of the kept cells of a window whose arrays are placed."""
+    design = intent.design
     lattice, laws = placed.lattice, placed.cell_laws
     cells = lattice.cells()
     slopes = aperture_slopes(placed, cells) if aim is None else aim.slopes(lattice.centres(cells))
     deltas = (CellLaws(placed.law) if laws is None else laws).deltas(lattice, cells)
-    sizes = None if laws is None or not laws.own_lenses else sizes_of(placed, design, laws)
+    sizes = None if laws is None or not laws.own_lenses else sizes_of(placed, intent, laws)
     turns = None if laws is None else laws.rotations_of(lattice, cells)
+    frames = turns
+    if laws is not None and turns is not None and design.pair.curved == "inside":
+        bent = laws.angles_of(
+            lattice, cells
+        ).copy()  # the plane faces refract the axis, as `shallower` has it
+        bent[:, 1] = np.arcsin(np.sin(bent[:, 1]) / placed.recipe["n"])
+        frames = rotations(bent, laws.law.axes)
     if design.pair.focus is not None and placed.law.theta != 0.0:
         built, thin = (
             _both(np.stack([size, np.ones(len(size))])) for size in inclined_sizes(placed, design, cells)
         )
         sizes = CellSizes(built, thin, np.ones((len(cells), 2)))
         return Targets(cells, deltas, slopes, sizes, key=PAIR.focus)
-    return Targets(cells, deltas, slopes, sizes, turns)
+    return Targets(cells, deltas, slopes, sizes, turns, frames)
 
 
-def _light(window: Window, targets: Targets, first: Floats, slope: Pair2, aims: bool) -> CellLight:
+def _light(window: Window, targets: Targets, first: Floats, slope: Pair2 | Floats, aims: bool) -> CellLight:
     """Light of the chief ray of each cell, its expected exit direction, and what both depend on.
 
     The moves are functions of slope and law. Where both are linear in the place of the cell, they are
@@ -299,10 +422,12 @@ def _light(window: Window, targets: Targets, first: Floats, slope: Pair2, aims: 
         variables.append(etas if (etas[:, 0] != etas[:, 1]).any() else etas[:, :1])
     if targets.turns is not None:
         variables.append(targets.turns[:, :2, 0])
+        if targets.turns[:, :2, 2].any():
+            variables.append(targets.turns[:, :2, 2])
     if targets.sizes is not None:
         ratio = np.full((len(targets.cells), 2), ratios_of(window.law)) if etas is None else etas
         fill = np.minimum(1.0, 1.0 / np.abs(ratio).max(axis=1))
-        own = OwnLenses(*_scales_of_all(targets.sizes), fill, targets.turns)
+        own = OwnLenses(*_scales_of_all(targets.sizes), fill, targets.frames)
     return CellLight(targets.slopes, asked, first, np.column_stack(variables), targets.key, slope, own)
 
 
@@ -317,65 +442,110 @@ def _by_rule(window: Window, targets: Targets, focal: Floats, turn: Floats, size
         deltas = deltas * size
     over = deltas - (law.delta_x, law.delta_y)
     lens = np.where(over == 0.0, 0.0, over * np.where(np.isfinite(focal), focal, 0.0))
-    if targets.turns is None:
+    if targets.frames is None:
         return np.asarray(lens @ turn[:2, :2].T)
-    return np.asarray(np.einsum("nij,nj->ni", targets.turns[:, :2, :2], lens))  # a table's law has no offset
+    return np.asarray(np.einsum("nij,nj->ni", targets.frames[:, :2, :2], lens))  # a table's law has no offset
 
 
 # -- lenses --------------------------------------------------------------------------------------------
 
 
-def _with_tables(window: Window, targets: Targets, table: Floats, slope: Pair2) -> Window:
-    """Window with lenses 2 displaced by `table` (n, 2), lengths, in addition, and lenses of many sizes."""
+def _with_tables(
+    window: Window, targets: Targets, table: Floats, slope: Pair2, lean: Floats | None
+) -> Window:
+    """Window with lenses 2 displaced by `table` (n, 2), lengths, in addition, and lenses of many sizes;
+    `lean` as `_leaned` has it.
+    """
     sizes: list[dict[str, Any]] = [{}, {}]
     if targets.sizes is not None:
-        sizes = _tables(window, targets, targets.sizes.built)
-    moved = as_table(window.lattice, targets.cells, table)
+        sizes = _tables(window, targets, targets.sizes.built, targets.frames)
+    leans = iter(() if lean is None else lean)
 
     def changed(face: Face) -> Face:
+        place, own = table, next(leans, None)
+        if face.array not in (0, 1):
+            return face
+        told = sizes[face.array]
+        if own is not None:
+            rise = own[:, 2] + (table * targets.climb).sum(axis=1) * face.array
+            place = own[:, :2] + table * face.array
+            told = told | {"lift": as_table(window.lattice, targets.cells, rise)}
         if face.array == 1:
-            return replace(face, change=_change(face.change, moved, slope, sizes[1]))
-        if face.array == 0 and sizes[0]:
-            return replace(face, change=VertexChange(**sizes[0]))
-        return face
+            moved = as_table(window.lattice, targets.cells, place)
+            return replace(face, change=_change(face.change, moved, slope, told))
+        if own is not None:
+            told = told | {"table": as_table(window.lattice, targets.cells, place)}
+        return replace(face, change=VertexChange(**told)) if told else face
 
     return replace(window, bodies=changed_faces(window.bodies, changed))
 
 
-def _with_field(window: Window, targets: Targets, field: FieldOfCells, apart: Floats) -> Window:
-    """Window with the field faces of each cell; `apart` (n, 2), lengths, from cell 1 to cell 2."""
-    rows = iter(range(len(field.size)))
+def _ways(window: Window, targets: Targets, turn: Floats, apart: Floats) -> tuple[Floats, Floats]:
+    """From the axis of lens 1 to cells 2, (n, 3) lengths, in the planes of lenses as the law leans (`turn`,
+    lens → sheet) and as the cells do; `apart` (n, 2) from cell 1 to cell 2.
+    """
+    faces = [np.asarray(face.vertex) + [*window.shifts[1], 0.0] for face in window.faces if face.array == 1]
+    length = float(np.mean(faces, axis=0) @ turn[:, 2])
+    old, new = (
+        _in_plane(axis, apart - length * axis[:, :2]) for axis in (turn[None, :, 2], targets.axes(turn))
+    )
+    return old, new
 
-    def table(each: Floats | None, beyond: float) -> Floats | None:
+
+def _in_plane(axis: Floats, across: Floats) -> Floats:
+    """Points (n, 3) over `across` (n, 2) in planes through the origin, normal to an axis (1 or n, 3)."""
+    return np.column_stack([across, -(across * axis[:, :2]).sum(axis=1) / axis[:, 2]])
+
+
+def _with_field(
+    window: Window,
+    targets: Targets,
+    field: FieldOfCells,
+    cells: FieldCells,
+    turn: Floats,
+    ways: tuple[Floats, Floats],
+) -> Window:
+    """Window with the field faces of each cell; `ways` of `_ways`, `turn` lens → sheet of the law."""
+    rows, (old, new), leans = iter(range(len(field.size))), ways, bool(targets.axes(turn)[:, :2].any())
+    tilt = targets.axes(turn) - turn[:, 2]
+
+    def table(each: Floats | None, beyond: float | Floats = 0.0) -> Floats | None:
         return None if each is None else as_table(window.lattice, targets.cells, each, beyond)
 
     def changed(face: Face) -> Face:
         if face.array != FIELD:
             return face
         own, change = next(rows), face.change or VertexChange()
+        share, height = cells.faces[own][0, 0], (np.asarray(face.vertex) + [*cells.shift, 0.0]) @ turn[:, 2]
+        place = field.share[own][:, None] * new + share * (new - old) + height * tilt
+        place = place + field.lift[own][:, None] * targets.axes(turn)
         aspect = None if field.aspect is None else field.aspect[own]
         return replace(
             face,
             change=replace(
                 change,
-                table=table(field.share[own][:, None] * apart, 0.0),
+                table=table(place[:, :2]),
                 size=table(field.size[own], 1.0),
-                lift=table(field.lift[own], 0.0),
+                lift=table(place[:, 2]),
                 aspect=table(aspect, 1.0),
-                rotation=None if aspect is None else table(targets.turns, 1.0),
+                rotation=None if aspect is None and not leans else table(targets.frames, 1.0),
             ),
         )
 
     return replace(window, bodies=changed_faces(window.bodies, changed))
 
 
-def _pulled(targets: Targets, pull: Floats, turn: Floats, apart: Floats) -> Floats:
-    """Displacement (n, 2) of lenses 2 by `pull` of those of their cells, `apart` (n, 2), lengths."""
+def _pulled(
+    targets: Targets, pull: Floats, cells: FieldCells, turn: Floats, ways: tuple[Floats, Floats]
+) -> Floats:
+    """Displacement (n, 2) of lenses 2 by `pull` of the `ways` of their cells, and by how these lean."""
+    old, new = ways
+    leaning = cells.drift * (new - old)[:, :2]
     if pull.ndim == 1:
-        return np.asarray(pull[:, None] * apart)
-    axes = (turn if targets.turns is None else targets.turns)[..., :2, :2]
-    along = pull * np.einsum("...ji,...j->...i", axes, apart)
-    return np.asarray(np.einsum("...ij,...j->...i", axes, along))
+        return np.asarray(pull[:, None] * new[:, :2] + leaning)
+    axes = turn if targets.frames is None else targets.frames
+    along = pull * np.einsum("...ji,...j->...i", axes[..., :2], new)
+    return np.asarray(np.einsum("...ij,...j->...i", axes[..., :2, :2], along) + leaning)
 
 
 def _thin_fields(window: Window, targets: Targets) -> tuple[FieldLens, ...]:
@@ -385,35 +555,52 @@ def _thin_fields(window: Window, targets: Targets) -> tuple[FieldLens, ...]:
         return pair.field
     cells, apart = targets.cells, pair.shift + _followed(pair.second, window, targets.cells)
     crossed, turns = targets.sizes.field.aspect is not None, targets.turns
-    turned = None if turns is None or not crossed else as_table(window.lattice, cells, turns, 1.0)
+    axes, own = pair.rotation[None, :, 2], pair.rotation[None, :, 2] if turns is None else turns[:, :, 2]
+    leans = bool(axes[:, :2].any() or own[:, :2].any())
+    turned = None
+    if turns is not None and (crossed or leans):
+        turned = as_table(window.lattice, cells, turns, 1.0)
+    old, new = (  # heights of the centres of cells 2 in the planes of lenses 2
+        (pair.separation - (apart * axis[:, :2]).sum(axis=1)) / axis[:, 2] for axis in (axes, own)
+    )
     made, lenses = [], pair.field
     if crossed:
         lenses = thin_cylinders(ratios_of(window.law), pair.separation)
     for axis, lens in enumerate(lenses):
         first, second = targets.sizes.thin[..., axis]
         rise = lens.depth * (first - 1.0)
+        share, lift = rise / pair.separation, rise
+        if leans:
+            lift = share * new + lens.depth / pair.separation * (new - old)
         change = VertexChange(
-            table=as_table(window.lattice, cells, (rise / pair.separation)[:, None] * apart),
+            table=as_table(window.lattice, cells, share[:, None] * apart),
             size=as_table(window.lattice, cells, first * second, 1.0),
-            lift=as_table(window.lattice, cells, rise),
+            lift=as_table(window.lattice, cells, lift),
             rotation=turned,
         )
         made.append(replace(lens, change=change))
     return tuple(made)
 
 
-def _thin(window: Window, targets: Targets, inclined: bool) -> ThinPair:
+def _thin(window: Window, targets: Targets, inclined: bool, follows: bool) -> ThinPair:
     """Ideal pair of a window whose law varies, or with inclined planes that its pairs image."""
     pair, sizes = window.thin, targets.sizes
     ratio = None if sizes is None or inclined else sizes.thin[0]
     focal = thin_pair(ratios_of(window.law), pair.separation)[0] if inclined else pair.focal_length[0]
-    ideal = _by_rule(window, targets, np.array(focal), pair.rotation, ratio)
-    if inclined:
+    ideal = _by_rule(window, replace(targets, frames=targets.turns), np.array(focal), pair.rotation, ratio)
+    if follows:
         ideal = ideal - _followed(pair.second, window, targets.cells)
-    size: list[dict[str, Any]] = [{}, {}] if sizes is None else _tables(window, targets, sizes.thin)
-    change = _change(
-        pair.change, as_table(window.lattice, targets.cells, ideal), lens_plane_slope(pair.rotation), size[1]
-    )
+    size: list[dict[str, Any]] = [{}, {}]
+    if sizes is not None:
+        size = _tables(window, targets, sizes.thin, targets.turns)
+    slope, turns = lens_plane_slope(pair.rotation), targets.turns
+    if turns is not None and (turns[:, :2, 2].any() or any(slope)):
+        axis = turns[:, :, 2]
+        rise = -(ideal * axis[:, :2]).sum(axis=1) / axis[:, 2]
+        lean = pair.separation * (axis - pair.rotation[:, 2])
+        ideal, slope = ideal + lean[:, :2], (0.0, 0.0)
+        size[1]["lift"] = as_table(window.lattice, targets.cells, rise + lean[:, 2])
+    change = _change(pair.change, as_table(window.lattice, targets.cells, ideal), slope, size[1])
     first = VertexChange(**size[0]) if size[0] else None
     return replace(pair, change=change, change_1=first, field=_thin_fields(window, targets))
 
@@ -429,10 +616,10 @@ def _change(
     return VertexChange(affine.gradient, table, slope, climb=climb, **size)
 
 
-def _tables(window: Window, targets: Targets, sizes: Floats) -> list[dict[str, Any]]:
+def _tables(window: Window, targets: Targets, sizes: Floats, frames: Floats | None) -> list[dict[str, Any]]:
     """Size, aspect where it differs from 1, and lens axes of both lenses as `VertexChange` has them."""
     size, aspect = _scales(sizes)
-    each = {"size": size, "aspect": aspect, "rotation": targets.turns}
+    each = {"size": size, "aspect": aspect, "rotation": frames}
     made = [
         {
             name: as_table(window.lattice, targets.cells, one if name == "rotation" else one[k], 1.0)
@@ -470,19 +657,23 @@ def _scales_of_all(sizes: CellSizes) -> tuple[Floats, Floats | None]:
     return np.concatenate([size, field.size]), np.concatenate(flat)
 
 
-def _refuse_far(window: Window, targets: Targets, table: Floats, aims: bool) -> None:
+def _refuse_far(
+    window: Window, targets: Targets, table: Floats, aims: bool, lean: Floats | None = None
+) -> None:
     """Refuse a lens whose cell reaches too far from its vertex for its radius, naming the worst."""
     if window.cell_laws is None:
         return  # the steepest cell is known without tables
     cells = targets.cells
     half = tile = window.lattice_of(1).tile().max(axis=0)
-    for face in window.faces:
+    for number, face in enumerate(window.faces):
         if face.array != 1:
             continue
         still = 0.0 if face.change is None else face.change.at(window.lattice, cells)
         at = np.asarray(face.vertex[:2]) + (still + table)
-        if targets.turns is not None:  # along the lens axes
-            own = targets.turns[:, :2, :2]
+        if lean is not None:
+            at = at + lean[number, :, :2]
+        if targets.frames is not None:  # along the lens axes
+            own = targets.frames[:, :2, :2]
             at, half = np.einsum("nij,ni->nj", own, at), np.einsum("nij,i->nj", np.abs(own), tile)
         place = np.abs(at) + half
         curved = np.broadcast_to(np.abs([face.surface.curvature_x, face.surface.curvature_y]), place.shape)
@@ -514,22 +705,22 @@ def _refuse_far(window: Window, targets: Targets, table: Floats, aims: bool) -> 
 
 
 # -- sizes ---------------------------------------------------------------------------------------------
-def sizes_of(window: Window, design: Design, laws: CellLaws) -> CellSizes:
+def sizes_of(window: Window, intent: Intent, laws: CellLaws) -> CellSizes:
     """Scale factors of the lenses of all kept cells of a sheet with an η per cell.
 
     Raises NoSuchLens: A lens ends inside its cell or is too thick; biconvex neighbours differ by more than
         `STEP`. The message names the cell.
     """
-    cells = window.lattice.cells()
+    cells, design = window.lattice.cells(), intent.design
     etas = laws.ratios_of(window.lattice, cells)
     thin, thick = thin_sizes(etas, np.array(ratios_of(window.law))), thick_lenses(design)
     if design.pair.form == "biconvex":
         _refuse_steps(window, cells, _along_sheet(etas, laws.rotations_of(window.lattice, cells)))
     if window.field_array:
-        if (own := etas_along_axes(design)) is not None:
+        if (own := intent.etas_along_axes) is not None:
             built, focal, field = _with_toric(window, design, cells, own, thick)
         else:
-            one, over, field = _with_plates(window, design, cells, etas[:, 0], thick)
+            one, over, field = _with_plates(window, cells, etas[:, 0], thick)
             built, focal = _both(one), _both(over)
     elif thick:
         along = [_thick(window, cells, own, axis) for axis, own in enumerate(etas.T)]
@@ -543,15 +734,14 @@ def sizes_of(window: Window, design: Design, laws: CellLaws) -> CellSizes:
 
 
 def _with_plates(
-    window: Window, design: Design, cells: Ints, etas: Floats, thick: bool
+    window: Window, cells: Ints, etas: Floats, thick: bool
 ) -> tuple[Floats, Floats, FieldOfCells]:
     """As `CellSizes` of cells with field lenses: scale factors of lenses, of δ, and the field lenses.
 
-    Raises NoSuchLens: Lenses are tilted; the plates of two neighbours would touch; a field lens
-        ends inside its cell, or its plate has no thickness.
+    Raises NoSuchLens: The plates of two neighbours would touch; a field lens ends inside its cell, or its
+        plate has no thickness.
     """
     recipe, told, every = window.recipe, window.recipe["field"], np.concatenate([[window.law.eta_x], etas])
-    _refuse_tilted(window)
     index, separation = recipe["n"], recipe["s"]
     if "gap" in told:
         focal, field = plates_of_cells(every, separation, told["gap"], index)
@@ -578,7 +768,14 @@ def _with_toric(
     Thick lenses lie at their principal planes, which follow from their radii and these from the planes.
     """
     recipe, told, index = window.recipe, window.recipe["field"], window.recipe["n"]
-    _refuse_tilted(window, design.pair.given)
+    if design.pair.given:
+        raise NoSuchLens(
+            "eta_x and eta_y of each cell with a field lens: both its faces have power along both axes, which"
+            " pair.face of one eta does not state",
+            SIZES_KEY,
+            'one column eta, or prescription = "derived"',
+            "CL127",
+        )
     separation, reach, plates = recipe["s"], np.array(told["reach"]), "gap" in told
     gap = told["gap"] if plates else told["thickness"] / index
     rise = (mean := mean_focus(every, separation)) - mean[0]
@@ -638,21 +835,6 @@ def _refuse_hollow(window: Window, cells: Ints, every: Floats, gap: float) -> No
             PAIR.field,
             f"pair.field.gap > {most:.4g}, or an eta_x nearer to eta_y",
             "CL129",
-        )
-
-
-def _refuse_tilted(window: Window, given: bool = False) -> None:
-    """Refuse tilted lenses, whose foci do not lie on the line between their cells, and `given` faces."""
-    if given or window.law.theta != 0.0:
-        raise NoSuchLens(
-            "eta_x and eta_y of each cell with a field lens: both its faces have power along both axes, which"
-            " pair.face of one eta does not state"
-            if given
-            else f"theta = {np.degrees(window.law.theta):g} deg and an eta of each cell: field lenses at foci"
-            " of different depths along tilted axes are not made",
-            SIZES_KEY,
-            'one column eta, or prescription = "derived"' if given else "theta = 0, or one eta for all cells",
-            "CL127",
         )
 
 

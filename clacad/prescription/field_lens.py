@@ -21,13 +21,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import sqrt
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
 from clacad.base.vectors import xy
-from clacad.design.asked_cells import cell_laws, cut_across, lattice_of
 from clacad.design.process_profiles import profile
 from clacad.design.sections import LATTICE, LAW, PAIR, AimedAt
 from clacad.design.varying import Planes
@@ -37,9 +36,6 @@ from clacad.prescription.intent import Intent, separation_of
 from clacad.prescription.radii import NoSuchLens, field_focal_lengths, thin_pair
 from clacad.sheet.volume_and_extent import FIELD as ARRAY
 from clacad.sheet.window import IDENTITY, Body, Face, FieldLens
-
-if TYPE_CHECKING:
-    from clacad.design import Design
 
 STEEPEST = 1.05
 """Least radius of a field face, over half the width of its cell."""
@@ -111,8 +107,9 @@ def air_gap(intent: Intent) -> float:
     limit = design.check.clearance
     if limit is None:
         limit = profile(design.check.process).clearance / design.unit_m
-    least = max(min(design.lattice.pitch) / 25.0, ROOM * limit)
-    if (etas := etas_along_axes(design)) is not None:
+    step = 2.0 * intent.lattice.circumradius * intent.steepest
+    least = max(min(design.lattice.pitch) / 25.0, ROOM * limit, ROOM * step)
+    if (etas := intent.etas_along_axes) is not None:
         least = max(least, ROOM * float(least_gap(etas, separation_of(intent), True).max()))
     return least
 
@@ -186,7 +183,7 @@ class FieldBodies:
 
 def two_plates(intent: Intent, separation: float, scale: float) -> FieldBodies:
     """Two plates with the field lens on both inner faces, lens radii times `scale`; separation: length."""
-    eta, n, own = intent.eta[0], intent.index, etas_along_axes(intent.design)
+    eta, n, own = intent.eta[0], intent.index, intent.etas_along_axes
     if own is not None:
         eta = 1.0 - separation / float(mean_focus(own[:1], separation)[0])
     plates = paired_plates(eta, separation, air_gap(intent))
@@ -198,32 +195,38 @@ def two_plates(intent: Intent, separation: float, scale: float) -> FieldBodies:
         refuse_too_steep(r, intent, None)
     thickness = [n * f for f in plates.field]
     legs = ((thickness[0], n), (plates.gap, 1.0), (thickness[1], n))
-    delta = np.asarray(intent.delta)
-    slope = np.zeros(2) if starts_aligned(intent.design.lattice.aperture) else delta / (1.0 - eta)
-    chief = Chief.of(intent, slope * plates.length, plates.length)
-    turn = intent.turn[:2, :2]
-    before, behind, moved = (turn @ chief.across(legs[:k]) for k in (1, 2, 3))
-    offset = plates.offset(delta, eta, moved @ turn / plates.length)
+    delta, turn, top = np.asarray(intent.delta), intent.turn, thickness[0] + plates.gap
+    height = top + thickness[1]
+    slope = delta / (1.0 - eta)
+    if starts_aligned(intent.design.lattice.aperture):
+        slope = straight_above(turn, height) / plates.length
+    chief = Chief.of(intent, slope * plates.length, plates.length, turn)
+    across = [chief.across(legs[:k]) for k in (1, 2, 3)]
+    before, behind, moved = (
+        turn @ [*point, z] for point, z in zip(across, (thickness[0], top, height), strict=True)
+    )
+    offset = plates.offset(delta, eta, across[2] / plates.length)
     if intent.design.pair.vertex is not None:
         offset = np.array(intent.design.pair.vertex)
-    conic, half, top = _conic(intent, 0.0), 0.5 * (behind - before), thickness[0] + plates.gap
-    rotation = shared(intent.turn)
+    conic, middle = _conic(intent, 0.0), 0.5 * (before + behind)[:2]
+    rotation = shared(turn)
 
-    def lens(number: int, side: int, place: Floats, z: float) -> Face:
+    def lens(number: int, side: int, place: Floats) -> Face:
         r = scale * radius[number]
-        return Face(intent.shape.face((r, r), side, number), _vertex(place, z), rotation, number)
+        return Face(intent.shape.face((r, r), side, number), _vertex(place[:2], place[2]), rotation, number)
 
-    def field(number: int, side: int, place: Floats, z: float) -> Face:
-        turned = IDENTITY if own is None else rotation
-        return Face(_sphere(inner[number], side, conic), _vertex(place, z), turned, ARRAY)
+    def field(number: int, side: int, place: Floats) -> Face:
+        turned = IDENTITY if own is None and intent.law.theta == 0.0 else rotation
+        vertex = _vertex(place[:2] - middle, place[2])
+        return Face(_sphere(inner[number], side, conic), vertex, turned, ARRAY)
 
     first, second = bodies_of(
         intent.listed(
             [
-                (lens(0, +1, np.zeros(2), 0.0), intent.glass("array1")),
-                (field(0, -1, -half, thickness[0]), None),
-                (field(1, +1, half, top), intent.glass("array2")),
-                (lens(1, -1, turn @ offset - moved, top + thickness[1]), None),
+                (lens(0, +1, np.zeros(3)), intent.glass("array1")),
+                (field(0, -1, before), None),
+                (field(1, +1, behind), intent.glass("array2")),
+                (lens(1, -1, turn @ [*offset, height] - [*moved[:2], 0.0]), None),
             ]
         )
     )
@@ -234,14 +237,14 @@ def two_plates(intent: Intent, separation: float, scale: float) -> FieldBodies:
     ends = plates.field[0] / plates.length, (plates.field[0] + plates.gap) / plates.length
     last = plates.focal_length[1]
     cells = FieldCells(
-        xy(0.5 * (before + behind)),
+        xy(middle),
         0.5 * sum(ends) * np.eye(2),
         tuple(end * np.eye(2) for end in ends),
         np.zeros(3),
         1.0 - last * (1.0 - 1.0 / eta) / plates.length,
         (-last / eta, -last / eta),
     )
-    return FieldBodies((first, second), xy(moved), cells, offset, told)
+    return FieldBodies((first, second), xy(moved[:2]), cells, offset, told)
 
 
 def _equal(first: Body, second: Body) -> bool:
@@ -295,22 +298,6 @@ class FieldOfCells:
         return FieldOfCells(
             size, lift, share, self.pull[rows], None if self.aspect is None else self.aspect[:, rows]
         )
-
-
-def etas_along_axes(design: Design) -> Floats | None:
-    """η (m, 2) of the law and of the cells of a table whose field lenses have power of their own along both
-    lens axes; None: they have one η, or cylinders that follow the law.
-    """
-    varying, law = design.law_spec.varying, design.law_spec.eta
-    tabled = varying is not None and varying.table is not None
-    if not design.pair.field_lens or not (tabled or cut_across(design)):
-        return None
-    laws, lattice = cell_laws(design), lattice_of(design)
-    etas = laws.ratios_of(lattice, lattice.cells())
-    alike = bool((etas[:, 0] == etas[:, 1]).all())
-    if alike and law[0] == law[1] or laws.ratios is None and laws.angles is None:
-        return None
-    return np.concatenate([[law], etas])
 
 
 def mean_focus(etas: Floats, separation: float) -> Floats:
@@ -479,7 +466,7 @@ def _plate_thickness(intent: Intent, radius: list[float], foci: Pair2, behind: f
     n, design = intent.index, intent.design
     tile = np.abs(intent.lattice.tile() @ intent.turn[:2, :2]).max(axis=0)
     sag = sum(float(tile[k]) ** 2 / (2.0 * radius[k]) for k in (0, 1))
-    least = sag + intent.neck + 2.0 * intent.lattice.circumradius * abs(float(np.tan(intent.law.theta)))
+    least = sag + intent.neck + 2.0 * intent.lattice.circumradius * intent.steepest
     if foci[0] == foci[1]:
         edge = design.check.edge
         edge = profile(design.check.process).edge / design.unit_m if edge is None else edge
@@ -498,29 +485,29 @@ def _plate_thickness(intent: Intent, radius: list[float], foci: Pair2, behind: f
 
 
 def plate_faces(
-    intent: Intent, plate: FieldPlate, chief: Chief, legs: Legs, front: int
+    intent: Intent, plate: FieldPlate, chief: Chief, legs: Legs, front: int, turn: Floats
 ) -> tuple[list[Listed], FieldCells]:
     """The plate's faces and its cells.
 
     legs : segments of the ray from lens 1 to lens 2, of which the first `front` lead to the plate
+    turn : (3, 3). Lens → sheet.
     """
     reached = legs[:front], legs[: front + 1]
     points = [chief.across(some) for some in reached]
     near_end, far_end = (_reduced(some) / _reduced(legs) for some in reached)
-    added = plate.added(intent.index) * intent.turn[:, 2]
+    added = plate.added(intent.index) * turn[:, 2]
     power_of: Any = plate.told["R"]
     conic: Any = plate.told["conic"]
     near = min(plate.foci)
     first, last = (
-        intent.turn @ np.array([*point, z])
-        for point, z in zip(points, (near, near + plate.thickness), strict=True)
+        turn @ np.array([*point, z]) for point, z in zip(points, (near, near + plate.thickness), strict=True)
     )
-    tilted = intent.law.theta != 0.0
-    rotation = shared(intent.turn if tilted or plate.crossed else IDENTITY)
+    tilted = intent.steepest != 0.0
+    rotation = shared(turn if tilted or plate.crossed else IDENTITY)
     if not plate.crossed:
         split = isinstance(power_of, list)
         radii: list[float] = power_of if isinstance(power_of, list) else [power_of]
-        rotation = shared(intent.turn) if split else rotation
+        rotation = shared(turn) if split else rotation
         lens = Face(_sphere(radii[0], +1, conic), (0.0, 0.0, float(first[2])), rotation, ARRAY)
         back = _sphere(radii[1], -1, conic) if split else Quadric(0.0, 0.0, 0.0, -1)
         plane = Face(back, (0.0, 0.0, float(last[2])))
@@ -547,8 +534,8 @@ def plate_faces(
     )
     own = np.zeros(2)
     own[list(axes)] = near_end, far_end
-    share = intent.turn[:2, :2] @ np.diag(own) @ intent.turn[:2, :2].T
-    cells = FieldCells(xy(intent.turn[:2, :2] @ middle), share, (share,), added)
+    share = turn[:2, :2] @ np.diag(own) @ turn[:2, :2].T
+    cells = FieldCells(xy(turn[:2, :2] @ middle), share, (share,), added)
     return [(near_face, intent.glass("field")), (far_face, None)], cells
 
 
@@ -561,6 +548,11 @@ Legs = tuple[tuple[float, float], ...]
 def starts_aligned(aperture: str | Pair2 | AimedAt) -> bool:
     """Whether cells 2 lie over cells 1, as they do before they are aimed at a point."""
     return aperture == "aligned" or isinstance(aperture, AimedAt)
+
+
+def straight_above(turn: Floats, height: float) -> Floats:
+    """Point (2,), lens frame, over the origin in the plane at a `height` along the lens axis (lengths)."""
+    return np.asarray(height / turn[2, 2] * turn[2, :2])
 
 
 def _reduced(legs: Legs) -> float:
@@ -581,12 +573,12 @@ class Chief:
     exact: bool
 
     @staticmethod
-    def of(intent: Intent, to_cell_2: Floats, reduced: float) -> Chief:
+    def of(intent: Intent, to_cell_2: Floats, reduced: float, turn: Floats) -> Chief:
         """Ray for the design's aperture; `to_cell_2` (2,), lens frame, at `reduced` in air, lengths."""
         aperture = intent.design.lattice.aperture
         if isinstance(aperture, str | AimedAt):
             return Chief(to_cell_2 / reduced, False)
-        ray = np.array([*aperture, 1.0]) @ intent.turn
+        ray = np.array([*aperture, 1.0]) @ turn
         return Chief(ray[:2] / ray[2], True)
 
     def across(self, legs: Legs) -> Floats:

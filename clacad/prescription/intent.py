@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
-from clacad.design.asked_cells import lattice_of
+from clacad.design.asked_cells import cell_laws, cut_across, lattice_of
 from clacad.design.faces import FaceSpec
 from clacad.design.process_profiles import profile
 from clacad.design.sections import LATTICE, PAIR
@@ -18,6 +19,7 @@ from clacad.optics.law import Law
 from clacad.prescription.bodies import Listed, Medium, Shape, given_surface
 from clacad.prescription.plates import cells_outline
 from clacad.prescription.radii import LensPair, NoSuchLens, thin_focal_lengths
+from clacad.sheet.cell_places import CellLaws
 from clacad.sheet.lattice import Lattice
 from clacad.sheet.plate import Plate
 from clacad.sheet.volume_and_extent import FIELD
@@ -30,7 +32,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Intent:
-    """Inputs of the recipes, read once from a design."""
+    """Inputs of the recipes, read once from a design.
+
+    laws : The law of each cell, of a table if there is one.
+    """
 
     design: Design
     law: Law
@@ -41,7 +46,30 @@ class Intent:
     material: Material | None
     lattice: Lattice
     shape: Shape
+    laws: CellLaws
     given: tuple[FaceSpec, ...] = ()
+
+    @cached_property
+    def etas_along_axes(self) -> Floats | None:
+        """η (m, 2) of the law and of the cells where field lenses have power of their own along both lens
+        axes; None: they have one η, or cylinders that follow the law.
+        """
+        design, laws, (eta_x, eta_y) = self.design, self.laws, self.eta
+        varying = design.law_spec.varying
+        tabled = varying is not None and varying.table is not None
+        if not design.pair.field_lens or not (tabled or cut_across(design)):
+            return None
+        etas = laws.ratios_of(self.lattice, self.lattice.cells())
+        alike = bool((etas[:, 0] == etas[:, 1]).all())
+        if (alike and eta_x == eta_y) or not laws.own_lenses:
+            return None
+        return np.concatenate([[(eta_x, eta_y)], etas])
+
+    @cached_property
+    def steepest(self) -> float:
+        """Greatest tangent of the tilt of a lens."""
+        angles = self.laws.angles_of(self.lattice, self.lattice.cells())
+        return float(np.abs(np.tan([self.law.theta, *angles[..., 1].ravel()])).max())
 
     @property
     def neck(self) -> float:
@@ -114,6 +142,7 @@ def intent_of(design: Design) -> Intent:
         material,
         _lattice(design),
         Shape(_conic(design, index), pair.depth),
+        cell_laws(design),
         pair.face if pair.given else (),
     )
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from clacad.base.types import Floats, Pair2
-from clacad.design.sections import PAIR
+from clacad.design.sections import LAW, PAIR
 from clacad.optics.surface import Quadric
 from clacad.prescription.assemble import assemble_window
 from clacad.prescription.best_recipe import best_scale
@@ -31,12 +31,12 @@ from clacad.prescription.cell_heights import face_range
 from clacad.prescription.field_lens import (
     Chief,
     air_gap,
-    etas_along_axes,
     mean_focus,
     one_plate,
     plate_faces,
     split_plate,
     starts_aligned,
+    straight_above,
     two_plates,
 )
 from clacad.prescription.intent import Intent, separation_of, untraced
@@ -167,9 +167,17 @@ def _plano_faces(
 
 
 def plano_with_field(intent: Intent, lenses: LensPair) -> Window:
-    """Window of two plano lenses with the field plate between them; nothing is tilted."""
+    """Window of two plano lenses with the field plate between them; curved outside nothing is tilted."""
     n, (t1, t2), separation = intent.index, lenses.thickness, separation_of(intent)
     outside = intent.design.pair.form == "slab" or intent.design.pair.curved == "outside"
+    if outside and intent.steepest:
+        raise NoSuchLens(
+            "a field lens of plano lenses that lean: their planes bend the axis towards it, and give it a"
+            " focus along and one across the tilt",
+            key=LAW.euler,
+            hint='theta = 0 in all cells, pair.curved = "inside", or another form',
+            code="CL127",
+        )
     first, second = thin_pair(intent.eta, separation)
     glass = (t1, t2) if outside else (0.0, 0.0)
     before, behind = min(first) - glass[0] / n, min(second) - glass[1] / n
@@ -181,7 +189,7 @@ def plano_with_field(intent: Intent, lenses: LensPair) -> Window:
             code="CL129",
         )
     foci = (glass[0] + first[0] - glass[0] / n, glass[0] + first[1] - glass[0] / n)
-    if (own := etas_along_axes(intent.design)) is None:
+    if (own := intent.etas_along_axes) is None:
         plate = one_plate(intent, (first, second), foci, behind)
         behind -= 0.0 if plate.crossed else plate.thickness / n
     else:
@@ -191,19 +199,18 @@ def plano_with_field(intent: Intent, lenses: LensPair) -> Window:
         before, behind = focus - taken[0] - half, separation - focus - taken[1] - half
     offset = intent.built_offset(lenses)
     legs = ((glass[0], n), (before, 1.0), (plate.thickness, n), (behind, 1.0), (glass[1], n))
-    turn = intent.turn[:2, :2]
+    turn, height = shallower(intent.law, n) if not outside else intent.turn, sum(length for length, _ in legs)
     aligned = starts_aligned(intent.design.lattice.aperture)
-    chief = Chief.of(intent, 0.0 * offset if aligned else offset, separation)
+    chief = Chief.of(intent, straight_above(turn, height) if aligned else offset, separation, turn)
     if intent.design.pair.focus is not None:
         from clacad.prescription.sharp_pairs import refocused
 
         offset = refocused(offset, chief.slope * separation, lenses.focal_length[1], second)
-    moved_x, moved_y = turn @ chief.across(legs)
+    moved_x, moved_y, _ = turn @ [*chief.across(legs), height]
     moved = float(moved_x), float(moved_y)
-    height = sum(length for length, _ in legs)
-    lens_2 = np.array([*(turn @ offset), height])
-    faces = _plano_faces(intent, lenses, lens_2, intent.turn, outside)
-    field, cells = plate_faces(intent, plate, chief, legs, 2)
+    lens_2 = turn @ [*offset, height]
+    faces = _plano_faces(intent, lenses, lens_2, turn, outside)
+    field, cells = plate_faces(intent, plate, chief, legs, 2, turn)
     bodies = bodies_of(intent.listed([*faces[:2], *field, *faces[2:]]), moved)
     return assemble_window(intent, bodies, moved, lenses, offset, cells, plate.told)
 
@@ -234,7 +241,7 @@ def _slab_scaled(intent: Intent, scale: float) -> Window:
 def _slab_with_field(intent: Intent, separation: float, scale: float) -> Window:
     """Slab cut at the focus: two plates, or array 1, field plate and array 2 if foci differ."""
     n = intent.index
-    if intent.eta[0] == intent.eta[1] or etas_along_axes(intent.design) is not None:
+    if intent.eta[0] == intent.eta[1] or intent.etas_along_axes is not None:
         placed = two_plates(intent, separation, scale)
         lenses = one_faced(intent, separation, (n * separation, n * separation)).scaled(scale)
         return assemble_window(

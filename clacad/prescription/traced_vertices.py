@@ -92,7 +92,7 @@ class OwnLenses:
         light, relative to the window's; k = 0: these are alike.
     aspect : (2 + k, m) or None. Curvature of each along y over that of the scaled lens; None: 1 for all.
     fill : (m,). Part of the cell whose light lens 2 can accept.
-    turns : (m, 3, 3) or None. Lens → sheet of all lenses, untilted; None: the window's.
+    turns : (m, 3, 3) or None. Lens → sheet of all lenses; None: the window's.
     """
 
     sizes: Floats
@@ -116,10 +116,10 @@ class CellLight:
     first : (m, 2) lengths. Paraxial displacement of lens 2 of each cell from the window's lens 2.
     variable : (m, 2 ... 5). Variables of which moves are smooth functions.
     key : Key of the design that errors name.
-    climb : (along x, along y). Rise of lens 2 per lateral displacement, as `VertexChange.slope`.
+    climb : (2,) or (m, 2). Rise of lens 2 per lateral displacement, as `VertexChange.slope`.
     own : None: the lenses of all cells are alike.
-    field : (k, m, 3) lengths or None
-        Displacement of each field face of each cell from the window's, relative to lens 1.
+    slides : (k, m, 3) lengths or None
+        Displacement of each face of each cell from the window's besides, relative to lens 1.
     copies : 4: the light of a cell is the same after a quarter turn, as its lenses are.
     """
 
@@ -128,9 +128,9 @@ class CellLight:
     first: Floats
     variable: Floats
     key: str = LATTICE.aperture
-    climb: Pair2 = (0.0, 0.0)
+    climb: Floats | Pair2 = (0.0, 0.0)
     own: OwnLenses | None = None
-    field: Floats | None = None
+    slides: Floats | None = None
     copies: int = 1
 
     def of(self, rows: Ints) -> CellLight:
@@ -141,22 +141,23 @@ class CellLight:
             asked=self.asked[rows],
             first=self.first[rows],
             variable=self.variable[rows],
+            climb=self.climb if isinstance(self.climb, tuple) else self.climb[rows],
             own=None if self.own is None else self.own.of(rows),
-            field=None if self.field is None else self.field[:, rows],
+            slides=None if self.slides is None else self.slides[:, rows],
         )
 
 
-def traced_moves(window: Window, slopes: Floats, field: Floats | None = None) -> Floats:
+def traced_moves(window: Window, slopes: Floats, slides: Floats | None = None) -> Floats:
     """Moves of lens 2 from its paraxial position, for light of each slope.
 
     window : Uniform, lens 2 at its paraxial position.
     slopes : (m, 2). Slopes in air of the light of the field centre of each cell.
-    field : (k, m, 3) lengths or None. Displacements of field faces, as in `CellLight`.
+    slides : (k, m, 3) lengths or None. Displacements of faces, as in `CellLight`.
     Returns (m, 2) lengths.
     Raises NoSuchLens: No vertex within `BRACKET` gives the law, or light is lost on the way.
     """
     asked = _unit(window.law.refract(np.column_stack([slopes, np.ones(len(slopes))])))
-    return moves_of(window, CellLight(slopes, asked, np.zeros(slopes.shape), slopes, field=field))
+    return moves_of(window, CellLight(slopes, asked, np.zeros(slopes.shape), slopes, slides=slides))
 
 
 def moves_of(window: Window, light: CellLight) -> Floats:
@@ -234,7 +235,8 @@ def _solved(window: Window, light: CellLight, start: Floats | None = None) -> Fl
     if not np.isfinite(asked).all():
         raise NoSuchLens("the law gives no direction for light of this slope", light.key, code="CL123")
     inverse = _paraxial(window, light)
-    allowed = BRACKET * min(window.lattice.pitch) + SHARE * np.abs(light.first).max(axis=1)
+    far = light.first if light.slides is None else light.first + light.slides[owners.index(1), :, :2]
+    allowed = BRACKET * min(window.lattice.pitch) + SHARE * np.abs(far).max(axis=1)
     move = np.clip(0.0 if start is None else start, -allowed[:, None], allowed[:, None]) + np.zeros((1, 2))
     error = _bias(seq, owners, points, light, light.first + move)
     for _ in range(STEPS):
@@ -284,7 +286,9 @@ def _broyden(inverse: Floats, step: Floats, change: Floats) -> Floats:
     return np.where(moved[:, None, None], inverse + add, inverse)
 
 
-def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLight, move: Floats) -> Floats:
+def _bias(
+    seq: list[Interface], owners: list[int | None], points: Floats, light: CellLight, move: Floats
+) -> Floats:
     """Mean exit direction minus the expected, x and y, (m, 2); lens 2 of m cells moved by `move`."""
     slopes, asked = light.slopes, light.asked
     m, n = len(slopes), points.shape[-2]
@@ -297,16 +301,18 @@ def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLi
     slide = np.repeat(_slides(owners, move, light), n, axis=1)
     numbers = _numbers(owners)
     sizes = _sizes(numbers, light, n)
-    turn = None if light.own is None or light.own.turns is None else np.repeat(light.own.turns, n, axis=0)
+    turns = None if light.own is None or light.own.turns is None else np.repeat(light.own.turns, n, axis=0)
     for k, interface in enumerate(seq):
         if k:
             offset, travelled = pass_on(offset, seq[k - 1].vertex, interface.vertex), np.zeros(m * n)
             offset = offset + slide[k - 1] - slide[k]
         size = sizes[k]
-        if light.own is not None and light.own.aspect is not None and numbers[k] < len(light.own.aspect):
-            aspect = np.repeat(light.own.aspect[numbers[k]], n)
+        number = numbers[k]
+        if light.own is not None and light.own.aspect is not None and number < len(light.own.aspect):
+            aspect = np.repeat(light.own.aspect[number], n)
             interface = replace(interface, surface=stretched(interface.surface, aspect))
-        if turn is not None:  # every face is crossed in the axes of its lens
+        turn = None if owners[k] is None else turns
+        if turn is not None:  # each lens is crossed in its own axes
             interface = replace(interface, rotation=None)
         at, ray = to_surface(turn, offset / size), to_surface(turn, direction)
         crossing = cross(interface, at, ray, travelled / size[..., 0])
@@ -318,40 +324,37 @@ def _bias(seq: list[Interface], owners: list[int], points: Floats, light: CellLi
     return np.asarray((mean - asked)[:, :2])
 
 
-def _slides(owners: list[int], move: Floats, light: CellLight) -> Floats:
+def _slides(owners: list[int | None], move: Floats, light: CellLight) -> Floats:
     """Displacement (k, m, 3) of every face of m cells, with lens 2 moved by `move` (m, 2)."""
-    found, fields = np.zeros((len(owners), len(move), 3)), iter(() if light.field is None else light.field)
-    for k, owner in enumerate(owners):
-        if owner == 1:
-            found[k] = np.column_stack([move, move @ np.array(light.climb)])
-        elif owner == FIELD and light.field is not None:
-            found[k] = next(fields)
+    found = np.zeros((len(owners), len(move), 3)) if light.slides is None else light.slides.copy()
+    climb = np.array(light.climb)
+    rise = move @ climb if climb.ndim == 1 else (move * climb).sum(axis=1)
+    found[[k for k, owner in enumerate(owners) if owner == 1]] += np.column_stack([move, rise])
     return found
 
 
 def field_moves(window: Window, placed: Window, cells: Ints) -> Floats:
-    """Displacement (k, m, 3), relative to lens 1, of field faces in `cells` (m, 2) of a placed window.
+    """Displacement (k, m, 3), relative to lens 1, of the faces of a field lens in `cells` (m, 2) of a placed
+    window; 0 of other faces.
 
     window : the uniform window that it was placed from
     """
-    found = []
-    for (_, old, _, _), (body, new, _, _) in zip(
-        refractions(window.bodies), refractions(placed.bodies), strict=True
-    ):
-        if FIELD not in (new.array, body.arrays[0] if new.array is None else None):
-            continue
-        moved = np.zeros((len(cells), 3))
-        if new.array is not None:
-            moved = placed.vertices(new, cells) - old.vertex
+    faces = [
+        (old, new)
+        for (_, old, *_), (_, new, *_) in zip(*map(refractions, (window.bodies, placed.bodies)), strict=True)
+    ]
+    found = np.zeros((len(faces), len(cells), 3))
+    for moved, (old, new) in zip(found, faces, strict=True):
+        if new.array == FIELD:
+            moved += placed.vertices(new, cells) - old.vertex
             moved[:, :2] += placed.centres(FIELD, cells) - placed.centres(0, cells) - window.shifts[FIELD]
-        found.append(moved)
-    return np.array(found)
+    return found
 
 
-def _numbers(owners: list[int]) -> list[int]:
-    """Row of each face in `OwnLenses`, which has none for a last field face without power."""
+def _numbers(owners: list[int | None]) -> list[int]:
+    """Row of each face in `OwnLenses`, or one beyond its last for a plane under the whole sheet."""
     fields = count(FIELD)
-    return [next(fields) if owner == FIELD else owner for owner in owners]
+    return [len(owners) + 2 if one is None else next(fields) if one == FIELD else one for one in owners]
 
 
 def _sizes(numbers: list[int], light: CellLight, n: int) -> list[Floats]:
@@ -372,12 +375,9 @@ def _cell_points(window: Window, own: OwnLenses | None = None, copies: int = 1) 
     return points if own is None else own.fill[:, None, None] * points
 
 
-def _owners(window: Window) -> list[int]:
-    """Array with which each face of `interfaces` moves."""
-    return [
-        body.arrays[0] if face.array is None else face.array
-        for body, face, _, _ in refractions(window.bodies)
-    ]
+def _owners(window: Window) -> list[int | None]:
+    """Array with whose lenses each face of `interfaces` moves; None for planes under the whole sheet."""
+    return [face.array for _, face, _, _ in refractions(window.bodies)]
 
 
 def _unit(rows: Floats) -> Floats:

@@ -497,8 +497,7 @@ class CellLaws:
     table : (n1, n2, 2) array or None
         δ of each cell, indexed as the table of `clacad.sheet.cell_places.VertexChange`.
     ratios : (n1, n2) or (n1, n2, 2) array or None
-        η, the ratio −f2/f1 of both lens axes or of either, of each cell, given with such a table; None: the
-        law's η in all cells.
+        η, the ratio −f2/f1 of both lens axes or of either, of each cell; None: the law's η in all cells.
     angles : (n1, n2, 3) array or None
         φ, θ, ψ of each cell, radians, given with such a table; None: the law's in all cells.
     """

@@ -122,7 +122,8 @@ def test_an_array_is_taken_as_it_is_and_refused_where_it_is_another(tmp_path):
     whole = npz(delta=delta)
     for data, word in (
         (npz(other=delta), "no array"),
-        (npz(delta=delta, theta=delta[..., 0]), "theta.npy is none of the arrays that are read"),
+        (npz(delta=delta, theta=90.0 + delta[..., 0]), "theta[0, 0] = 90.0 is out of range"),
+        (npz(delta=delta, tilt=delta[..., 0]), "tilt.npy is none of the arrays that are read"),
         (npz(delta=delta, phi=1e5 + delta[..., 0]), "phi[0, 0] = 100000.0 is out of range"),
         (
             npz(delta=delta, eta=-1 - delta[..., 0], eta_x=-1 - delta[..., 0]),
@@ -269,9 +270,10 @@ def test_an_eta_of_no_lens_or_of_lenses_bent_the_other_way_is_refused_at_its_pla
 
 
 def test_a_table_with_another_kind_of_eta_is_refused_saying_what_is_taken(tmp_path):
-    mistake = refused(tmp_path, "i,j,delta_x,delta_y,theta\n0,0,0,0,-1\n")
-    assert "other thicknesses" in mistake.hint
-    assert mistake.column == 21
+    mistake = refused(tmp_path, "i,j,delta_x,delta_y,theta\n0,0,0,0,-90\n")
+    assert "from -89.999 to 89.999" in mistake.allowed
+    assert mistake.column == 9
+    assert refused(tmp_path, "i,j,delta_x,delta_y,tilt\n0,0,0,0,-1\n").column == 21
     assert refused(tmp_path, "i,j,delta_x,delta_y,psi,phi\n0,0,0,0,-1,2\n").column == 21
     assert refused(tmp_path, "i,j,delta_x,delta_y,eta,eta_x\n0,0,0,0,-1,-1\n").column == 25
     assert refused(tmp_path, "i,j,delta_x,delta_y,eta_y,eta_x\n0,0,0,0,-1,-1\n").column == 21

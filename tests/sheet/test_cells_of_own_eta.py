@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import mpmath
 import numpy as np
 import pytest
 from scipy.integrate import dblquad
+from scipy.optimize import brentq
 
 import clacad
 from clacad.base.sobol import sobol
+from clacad.design import asked_cells
 from clacad.design.combinations import REASONS
 from clacad.design.faces import face_table
 from clacad.mesh import check_closed, tessellate
 from clacad.mesh.body_mesh import facet_tags
 from clacad.mesh.cell_template import BACK, FRONT
 from clacad.optics.rays import Fate
+from clacad.optics.sequence import parabasal
 from clacad.prescription.bodies import face_spec
 from clacad.prescription.field_lens import toric
 from clacad.sheet.cell_heights import highest_step
 from clacad.sheet.feasibility import feasibility
-from clacad.sheet.like_cell import like_cell
+from clacad.sheet.like_cell import interfaces, like_cell
 from clacad.sheet.representative_cells import representative_cells
 from clacad.sheet.shrunk import CannotShrink, bent_window, grown_window
 from clacad.sheet.vignetting import aperture_slopes, partner_share
@@ -67,7 +71,7 @@ def slightly(i, j):
 
 
 def design(folder, eta=WIDELY, delta=sloping, turn=None, **changes):
-    """A design with a table; η None: none in it; η of two numbers: columns eta_x and eta_y; psi by `turn` (degrees)."""
+    """A design with a table; η None: none in it; η of two numbers: columns eta_x and eta_y; psi, or phi, theta and psi by `turn` (degrees)."""
     made = json.loads(json.dumps(BASE))
     for key, value in changes.items():
         section, _, name = key.partition("__")
@@ -77,12 +81,17 @@ def design(folder, eta=WIDELY, delta=sloping, turn=None, **changes):
             made.setdefault(section, {})[name] = value
     plain = clacad.Design.from_dict(made)
     lattice = clacad.prescribe(plain).lattice
-    own = (lambda i, j: []) if eta is None else lambda i, j: np.atleast_1d(eta(i, j)).tolist()
+    own, angles = (
+        (lambda i, j: []) if one is None else lambda i, j, one=one: np.atleast_1d(one(i, j)).tolist()
+        for one in (eta, turn)
+    )
     rows = [
-        "i,j,delta_x,delta_y" + ("", ",eta", ",eta_x,eta_y")[len(own(0, 0))] + ",psi" * (turn is not None)
+        "i,j,delta_x,delta_y"
+        + ("", ",eta", ",eta_x,eta_y")[len(own(0, 0))]
+        + ("", ",psi", "", ",phi,theta,psi")[len(angles(0, 0))]
     ]
     for i, j in lattice.cells().tolist():
-        numbers = [*delta(i, j), *own(i, j), *([] if turn is None else [turn(i, j)])]
+        numbers = [*delta(i, j), *own(i, j), *angles(i, j)]
         rows.append(",".join([str(i), str(j), *map(repr, map(float, numbers))]))
     (folder / "cells.csv").write_text("\n".join(rows) + "\n")
     made["law"]["varying"] = {"table": "cells.csv"}
@@ -121,14 +130,20 @@ def of_form(folder, form, **more):
 
 
 def matrix(window, cell, axis="x"):
-    """Ray-transfer matrix of one telescopelet from vertex to vertex, in the meridian of a lens axis."""
+    """Ray-transfer matrix of one telescopelet from vertex to vertex along its axis, in the meridian of a lens axis."""
     total, before, z = np.eye(2), 1.0, None
+    lenses = [face for face in window.faces if face.array is not None]
+    frame = window.in_cell(lenses[0], np.array(cell)).rotation
     for body in window.bodies:
         for face, after in ((body.front, body.index), (body.back, 1.0)):
             own = window.in_cell(face, np.array(cell))
+            aside = np.zeros(2) if face.array is None else window.centres(face.array, np.array(cell))
+            along = float((np.array(own.vertex) + [*aside, 0.0]) @ frame[:, 2])
+            if face.array is not None:
+                assert np.abs(own.rotation[:, 2] - frame[:, 2]).max() < 1e-15
             if z is not None:
-                total = np.array([[1.0, own.vertex[2] - z], [0.0, 1.0]]) @ total
-            z = own.vertex[2]
+                total = np.array([[1.0, along - z], [0.0, 1.0]]) @ total
+            z = along
             power = (after - before) * own.side * getattr(own.surface, f"curvature_{axis}")
             total = np.array([[1.0, 0.0], [-power / after, before / after]]) @ total
             before = after
@@ -245,6 +260,54 @@ def test_one_law_of_two_eta_whose_cells_would_cut_cylinders_has_field_faces_curv
     seen = clacad.trace(own, clacad.Rays(start, ray))
     exact = np.array([own.law.refract(ray)] * len(cells))
     assert np.abs(seen.direction - exact).max() < 4e-4
+
+
+FOLLOWING = {
+    "another pitch": {"lattice__kind": "hexagonal", "lattice__pitch_2": 0.5013, "pair__field": {"gap": 0.8}},
+    "turned array": {**FORMS["plano"], "law__euler": [30, 0, 0], "lattice__rotation_2": "1.5 mrad"},
+    "another pitch, tilted": {"law__euler": [20, 3, 0], "lattice__pitch_2": 0.5013, "pair__field": {"gap": 0.8}},
+    "varying": {**FORMS["biconvex"], "law__euler": [30, 0, 0], "gradient": [[1e-3, 4e-4], [-3e-4, 1.2e-3]]},
+}  # fmt: skip
+"""As `CUT_ACROSS`, with offsets that grow over the sheet."""
+
+
+@pytest.mark.parametrize("form", FOLLOWING)
+def test_two_eta_cut_across_go_with_offsets_that_grow_over_the_sheet(tmp_path, form):
+    """Each cell afocal by matrices; light of its own slope leaves by its own law, thin and traced."""
+    raw, keys = json.loads(json.dumps(BASE)), dict(FOLLOWING[form])
+    raw["law"] = {"eta": [-1.0, -1.1], "euler": keys.pop("law__euler", [0, 0, 0])}
+    if (gradient := keys.pop("gradient", None)) is not None:
+        raw["law"]["varying"] = {"gradient": gradient}
+    keys |= {"pair__field_lens": True, "pair__offset": "paraxial", "lattice__count": [4, 3]}
+    keys.pop("pair__surface", None)
+    for key, value in keys.items():
+        section, _, name = key.partition("__")
+        raw[section][name] = value
+    del raw["pair"]["surface"]
+    window = clacad.prescribe(clacad.Design.from_dict(raw))
+    cells = window.lattice.cells()
+    for cell in cells:
+        for axis, eta in zip("xy", (-1.0, -1.1), strict=True):
+            (_, _), (bends, magnifies) = matrix(window, cell, axis)
+            assert abs(bends) < 1e-12
+            assert magnifies == pytest.approx(1.0 / eta, rel=1e-12)
+    ray = np.column_stack([aperture_slopes(window, cells), np.ones(len(cells))])
+    start = np.column_stack([window.lattice.centres(cells) + [0.02, 0.01], np.zeros(len(cells))]) - ray
+    exact = np.array([window.law_at(cell).refract(one) for cell, one in zip(cells, ray, strict=True)])
+    assert np.ptp(exact, axis=0)[:2].min() > 1e-4
+    for rung, off in (("thin", 1e-14), ("surfaces", 2e-6)):
+        seen = clacad.trace(window, clacad.Rays(start, ray), rung=rung)
+        assert (seen.fate == Fate.ALIVE).all()
+        assert np.abs(seen.direction - exact).max() < off
+
+
+def test_a_law_read_once_serves_all_that_ask_for_it(tmp_path, monkeypatch):
+    """A table of a field lens, whose thickness is found by trials, is read from its file once."""
+    made = field_design(tmp_path, "two axes, biconvex", pair__thickness="auto", lattice__count=[3, 3])
+    calls, read = [], asked_cells.read_table
+    monkeypatch.setattr(asked_cells, "read_table", lambda *given: calls.append(given) or read(*given))
+    clacad.prescribe(made)
+    assert len(calls) == 1
 
 
 def test_two_field_faces_are_the_crossed_cylinders_at_the_distance_of_their_foci(tmp_path):
@@ -531,10 +594,161 @@ def test_neighbours_whose_turns_differ_by_rounding_have_lenses_that_do(tmp_path)
     assert abs(step - highest_step(one, one.bodies[0]).height) < 1e-14
 
 
-def test_turned_cells_of_a_tilted_law_are_refused(tmp_path):
-    with pytest.raises(clacad.DesignError, match="CL124") as caught:
-        built(tmp_path, None, still, turned, law__euler=[20, 3, 0])
-    assert "lean towards another side" in caught.value.mistakes[0].message
+def leaning(i, j):
+    """φ, θ, ψ of a cell in degrees."""
+    return 17.0 * i - 23.0 * j + 5.0, 0.4 * i - 0.3 * j + 0.2, 11.0 * j
+
+
+LEANING = {
+    "slab": {}, "ellipsoids": {"pair__surface": None}, "curved inside": FORMS["plano, curved inside"], "biconvex": FORMS["biconvex"],
+    "hexagonal": FORMS["hexagonal"], "law that leans": {"law__euler": [20, 1, 5]}, "two eta": {"law__eta": [-1.0, -1.2]},
+    "two eta of each": {"eta": MILD}, "aimed": {"lattice__aperture": {"point": [3, 2, -300]}},
+}  # fmt: skip
+LEANING |= {
+    f"field lens, {name}": {"pair__field_lens": True, "pair__surface": None, **keys}
+    for name, keys in {
+        "slab": {"pair__field": {"gap": 0.8}}, "slab of two eta": {"law__eta": [-1.0, -1.1], "eta": MILD},
+        "inside": FORMS["plano, curved inside"], "inside of two eta": {**FORMS["plano, curved inside"], "law__eta": [-1.0, -1.1]},
+        "biconvex": FORMS["biconvex"], "biconvex of two eta": {**FORMS["biconvex"], "eta": MILD, "law__euler": [20, 1, 5]},
+        "aimed slab": {"lattice__aperture": {"point": [3, 2, -300]}, "eta": spread(-0.95, -1.1), "pair__field": {"gap": 0.8}},
+    }.items()
+}  # fmt: skip
+"""Sheets each of whose cells leans by a θ of its own."""
+
+
+def tilted_design(folder, form, **more):
+    keys = {
+        "eta": None,
+        "delta": still,
+        "turn": leaning,
+        "pair__offset": "paraxial",
+        "lattice__count": [4, 3],
+    }
+    return design(folder, **{**keys, **LEANING[form], **more})
+
+
+@pytest.mark.parametrize("form", LEANING)
+def test_a_pair_that_leans_by_its_own_theta_is_afocal_along_its_axis_with_its_own_eta(tmp_path, form):
+    """By matrices of its faces: each lies across the axis of its cell, wherever that leans."""
+    window = clacad.prescribe(tilted_design(tmp_path, form))
+    tilts = set()
+    for cell in window.lattice.cells():
+        tilts.add(window.law_at(cell).theta)
+        for axis in "xy":
+            (_, _), (bends, magnifies) = matrix(window, cell, axis)
+            assert abs(bends) < 1e-12
+            assert magnifies == pytest.approx(1.0 / getattr(window.law_at(cell), f"eta_{axis}"), rel=1e-12)
+    assert len(tilts) == len(window.lattice.cells())
+
+
+ONE_LAW = {
+    "slab": {"pair__field": {"gap": 0.8}}, "slab of two eta": {"law__eta": [-1.0, -1.1], "pair__field": {"gap": 0.8}},
+    "curved inside": FORMS["plano, curved inside"], "curved inside, two eta": {**FORMS["plano, curved inside"], "law__eta": [-1.0, -1.1]},
+    "biconvex, two eta": {**FORMS["biconvex"], "law__eta": [-1.0, -1.1]},
+    "hexagonal biconvex, two eta": {**FORMS["biconvex"], "law__eta": [-1.0, -1.1], "lattice__kind": "hexagonal"},
+    "aimed slab": {"lattice__aperture": {"point": [3, 2, -300]}, "pair__field": {"gap": 0.8}},
+    "steered slab of two eta": {"law__eta": [-1.0, -1.1], "lattice__aperture": [0.02, -0.01]},
+}  # fmt: skip
+"""Field lenses of sheets that lean as one."""
+
+
+@pytest.mark.parametrize("form", ONE_LAW)
+def test_a_sheet_of_one_tilted_law_has_field_lenses_across_its_axis(tmp_path, form):
+    """Afocal with η by matrices; as the sheet of a table with the angles of the law in every cell."""
+    keys = {
+        "law__euler": [20, 3, 10],
+        "pair__field_lens": True,
+        "pair__surface": None,
+        "lattice__count": [4, 3],
+    }
+    keys |= {"pair__offset": "paraxial", **ONE_LAW[form]}
+    made = design(tmp_path, None, still, lambda i, j: (20, 3, 10), **keys)
+    raw = made.to_dict()
+    del raw["law"]["varying"]
+    one, each = clacad.prescribe(clacad.Design.from_dict(raw)), clacad.prescribe(made)
+    x, y = np.random.default_rng(3).uniform(-0.2, 0.2, (2, 40))
+    for cell in one.lattice.cells()[::3]:
+        for axis in "xy":
+            (_, _), (bends, magnifies) = matrix(one, cell, axis)
+            assert abs(bends) < 1e-12
+            assert magnifies == pytest.approx(1.0 / getattr(one.law, f"eta_{axis}"), rel=1e-12)
+        for face, other in zip(one.faces, each.faces, strict=True):
+            here, there = (
+                face_height(w, f, x, y, np.broadcast_to(cell, (40, 2)))
+                for w, f in ((one, face), (each, other))
+            )
+            assert np.abs(here - there).max() < 1e-13
+
+
+@pytest.mark.parametrize("form", LEANING)
+def test_light_of_cells_that_lean_leaves_by_the_law_of_its_cell(tmp_path, form):
+    """By kernels, and by a trace through the faces of one cell after the other that is written out here."""
+    window = clacad.prescribe(tilted_design(tmp_path, form, pair__offset=None))
+    cells = window.lattice.cells()
+    ray = np.column_stack([aperture_slopes(window, cells), np.ones(len(cells))])
+    start = np.column_stack([window.lattice.centres(cells) + [0.02, 0.01], np.zeros(len(cells))]) - ray
+    exact = np.array([window.law_at(cell).refract(one) for cell, one in zip(cells, ray, strict=True)])
+    for rung, off in (("law", 1e-15), ("thin", 1e-14), ("surfaces", 8e-4)):
+        seen = clacad.trace(window, clacad.Rays(start, ray), rung=rung)
+        assert (seen.fate == Fate.ALIVE).all()
+        assert np.abs(seen.direction - exact).max() < off
+    for cell, begun, along, found in zip(cells[::5], start[::5], ray[::5], seen.direction[::5], strict=True):
+        assert np.abs(one_by_one(window, cell, begun, along) - found).max() < 1e-12
+
+
+def one_by_one(window, cell, start, ray):
+    """Direction behind the faces of one cell, each met by bisection of its height and refracted by Snell's law."""
+    at, d, before = start, ray / np.linalg.norm(ray), 1.0
+    for body in window.bodies:
+        for face, after in ((body.front, body.index), (body.back, 1.0)):
+            own = window.in_cell(face, cell)
+            centre = np.array(
+                [*(np.zeros(2) if face.array is None else window.centres(face.array, cell)), 0.0]
+            )
+
+            def over(t, own=own, at=at, d=d, centre=centre):
+                u, v, w = (at + t * d - centre - own.vertex) @ own.rotation
+                return w - float(own.surface.sag(np.array([u]), np.array([v]))[0])
+
+            there = ((centre + own.vertex - at) @ own.rotation[:, 2]) / (d @ own.rotation[:, 2])
+            t = brentq(over, there - 0.2, there + 0.2, xtol=1e-15, rtol=1e-15)
+            at = at + t * d
+            u, v, _ = (at - centre - own.vertex) @ own.rotation
+            normal = own.rotation @ own.surface.normal(np.array([u]), np.array([v]))[0]
+            normal = normal / np.linalg.norm(normal)
+            ratio, cosine = before / after, float(d @ normal)
+            d = ratio * d + (np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2)) - ratio * cosine) * normal
+            before = after
+    return d
+
+
+def test_plates_under_the_whole_sheet_leave_a_pair_that_leans_the_least_power_by_the_glass_of_its_lens_2(
+    tmp_path,
+):
+    """The power of the traced pair, at the glass it has, is least: a little more or less leaves more."""
+    window = clacad.prescribe(
+        design(
+            tmp_path, None, still, leaning, **FORMS["plano"], pair__offset="paraxial", lattice__count=[3, 3]
+        )
+    )
+    for cell in window.lattice.cells()[1::2]:
+        like = like_cell(window, cell)
+        turn = like.law.rotation
+        left = []
+        for more in (-0.004, 0.0, 0.004):
+            seq = interfaces(like)
+            axis = turn[:, 2] / turn[2, 2]
+            seq[-1] = replace(seq[-1], vertex=seq[-1].vertex + more * axis)
+            left.append(np.sqrt((parabasal(seq, turn, np.zeros(3), 1e-3).cosines ** 2).sum()))
+        assert left[1] < min(left[0], left[2])
+        assert left[1] < 3e-4
+
+
+def test_a_field_lens_behind_planes_that_lean_cell_by_cell_is_refused(tmp_path):
+    keys = {**FORMS["plano"], "pair__field_lens": True, "pair__surface": None, "lattice__count": [3, 3]}
+    with pytest.raises(clacad.DesignError, match="CL127") as caught:
+        built(tmp_path, None, still, leaning, **keys)
+    assert "along and one across the tilt" in caught.value.mistakes[0].message
 
 
 def test_foci_too_far_apart_for_two_plates_are_refused_with_the_gap_that_works(tmp_path):

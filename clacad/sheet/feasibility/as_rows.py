@@ -295,7 +295,7 @@ def _field(window: Window, facts: Feasibility) -> list[Entry]:
 def _imaging(window: Window, write: _Writer) -> list[Entry]:
     """Foci and nodal point of a sheet with a varying law, zone of a superlens; none of a uniform sheet."""
     laws = window.cell_laws
-    if laws is not None and laws.own_lenses:
+    if laws is not None and laws.own_lenses and laws.smooth is None:
         cells = window.lattice.cells()
         means = "of the cells; focal lengths and what follows from them are those of the middle one"
         turns = np.degrees(laws.angles_of(window.lattice, cells)[:, ::2].sum(axis=1))

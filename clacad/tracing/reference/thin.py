@@ -69,11 +69,23 @@ class ThinPatch:
             return LensPlaces(self.vertex)
         return self.change.places(self.vertex, layout.lattice, cell)
 
-    def over(self, layout: Layout, cell: Ints, local: Floats, z: Floats) -> Floats:
-        """Distance (m,) of points of the cell frame over the patch's plane, along the lens axis."""
-        axis = self.rotation[:, 2]
-        vx, vy, vz = self.lenses(layout, cell).apex
-        return np.asarray((local[:, 0] - vx) * axis[0] + (local[:, 1] - vy) * axis[1] + (z - vz) * axis[2])
+    def over(
+        self, layout: Layout, cell: Ints, local: Floats, z: Floats, direction: Floats
+    ) -> tuple[Floats, Floats]:
+        """Distance (m,) of points of the cell frame over the patch's plane, along the lens axis, and the
+        component (m,) of directions along it.
+        """
+        places = self.lenses(layout, cell)
+        a, b, c = self._axis(places)
+        (vx, vy, vz), (x, y, w) = places.apex, direction.T
+        off = (local[:, 0] - vx) * a + (local[:, 1] - vy) * b + (z - vz) * c
+        return np.asarray(off), np.asarray(x * a + y * b + w * c)
+
+    def _axis(self, places: LensPlaces) -> Floats:
+        """Axes of lenses: three numbers, or (3, m)."""
+        turn = places.axes(self.rotation)
+        assert turn is not None
+        return turn[:, 2] if turn.ndim == 2 else turn[:, :, 2].T
 
     def bend(self, layout: Layout, cell: Ints, local: Floats, z: Floats, direction: Floats) -> Floats:
         """Unit directions (m, 3) behind the lens of rays that meet it at the given points of their cells."""
@@ -87,12 +99,6 @@ class ThinPatch:
         lens = np.stack([x - p * self.power[0] * along, y - q * self.power[1] * along, along], axis=-1)
         out = to_sheet(turn, lens)
         return np.asarray(out / np.linalg.norm(out, axis=1)[:, None])
-
-    def climb(self, direction: Floats) -> Floats:
-        """Component (m,) of directions (m, 3) along the lens axis."""
-        x, y, z = direction.T
-        a, b, c = self.rotation[:, 2]
-        return np.asarray(x * a + y * b + z * c)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,14 +173,14 @@ def _patch(
     centre = (0.0, 0.0) if layout.window.one_outline else place.shift
     axis = pair.rotation[:, 2]
     tile = layout.lattices[array].tile() - np.array(vertex[:2])
-    if change is not None:
-        cells = extreme_cells(change, layout.lattice)
-        moved = change.at(layout.lattice, cells)
-        tile = (tile[None] - moved[:, None]).reshape(-1, 2)
     heights = -(tile @ axis[:2]) / axis[2]
     if change is not None:  # a plane has no size
-        rise = change.rise(layout.lattice, cells, moved)
-        heights = heights + np.repeat(rise, len(heights) // len(moved))
+        leans = change.rotation is not None and bool(change.rotation[..., :2, 2].any())
+        cells = layout.lattice.cells() if leans else extreme_cells(change, layout.lattice)
+        places = change.places((0.0, 0.0, 0.0), layout.lattice, cells)
+        axis = axis[None] if places.rotation is None else places.rotation[..., 2]
+        across = tile - np.stack(places.apex[:2], axis=-1)[:, None]
+        heights = np.reshape(places.apex[2], (-1, 1)) - (across * axis[:, None, :2]).sum(axis=2) / axis[:, 2:]
     pad = 1e-9 * layout.lattice.circumradius
     f_x, f_y = focal_length
     return ThinPatch(
@@ -312,7 +318,8 @@ def _go_on(layout: Layout, ledger: Ledger, patch: ThinPatch, met: Met, path: Flo
     bent = patch.bend(layout, beam.cell, beam.local, beam.z, beam.direction)
     out = np.where(met.lens[:, None], bent, beam.direction)
     opaque = _stops(layout, patch, met)
-    backward = ~opaque & (~(out[:, 2] > 0.0) | ~(patch.climb(beam.direction) > 0.0))
+    climb = patch.over(layout, beam.cell, beam.local, beam.z, beam.direction)[1]
+    backward = ~opaque & (~(out[:, 2] > 0.0) | ~(climb > 0.0))
     stopped = opaque | backward
     if patch.array < 2:
         ledger.record(patch.array, beam.rows, at, np.where(stopped[:, None], beam.direction, out))
@@ -375,18 +382,18 @@ def _meet(layout: Layout, patch: ThinPatch, beam: Beam) -> Met:
     at, slipped, found = np.maximum(span, 0.0), np.zeros(m, dtype=bool), np.zeros(m, dtype=bool)
     leave = box_span(layout, patch, sheet_xy(layout, beam), beam.direction)[1]
     active = np.flatnonzero((leave >= 0.0) & (span >= 0.0))
-    climb = patch.climb(beam.direction)
     own, borders = layout.lattices[patch.array], np.array(layout.lattice.steps)
     while len(active):
         local = less_steps(own, beam.local[active], steps[active])
         ray, cell = beam.direction[active], beam.cell[active] + steps[active]
         kept = layout.lattice.contains(cell)
         end, across = _next_border(layout, patch.array, local, ray)
-        rise = -patch.over(layout, cell, local, beam.z[active])
-        crossing = rise / climb[active]
-        above = since[active] * climb[active] >= rise  # already over this patch where the column begins
+        over, climb = patch.over(layout, cell, local, beam.z[active], ray)
+        rise = -over
+        crossing = rise / climb
+        above = since[active] * climb >= rise  # already over this patch where the column begins
         slips = kept & above & (since[active] > 0.0)
-        hits = kept & ~slips & (climb[active] > 0.0) & (crossing <= end)
+        hits = kept & ~slips & (climb > 0.0) & (crossing <= end)
         at[active[slips]] = since[active[slips]]
         at[active[hits]] = crossing[hits]
         slipped[active[slips]] = True

@@ -23,7 +23,9 @@ from clacad.sheet.pattern import cosine_and_sine
 from clacad.sheet.window import Face, Window
 
 Ints = NDArray[np.integer]
-Vector = tuple[Decimal, Decimal, Decimal]
+Vector = NDArray[np.object_]
+"""Three numbers of DIGITS digits."""
+
 DIGITS = 50
 Compared = TypeVar("Compared")
 
@@ -34,7 +36,7 @@ class _Step:
 
     face: Face
     vertex: Vector
-    turn: tuple[Vector, Vector, Vector] | None
+    turn: Vector | None
     before: Decimal
     after: Decimal
 
@@ -66,7 +68,7 @@ def direction_differences(
     `direction_errors`.
     """
     found_less = np.full((len(position), 3), np.nan)
-    for k, less in _compared(_subtracted, window, position, direction, found, cell, order):
+    for k, less in _compared(np.subtract, window, position, direction, found, cell, order):
         found_less[k] = [float(v) for v in less]
     return found_less
 
@@ -101,14 +103,11 @@ def _steps(window: Window, cell: Ints, order: Ints) -> list[_Step]:
             # light that keeps to its pair passes its own field lens
             index = cell + order if face.array == 1 else cell
             i, j = int(index[0]), int(index[1])
-            vertex = _added(vertex, _centre(window, i, j, face.array))
+            vertex = vertex + _centre(window, i, j, face.array)
             if face.change is not None:
-                vertex = _added(vertex, _moved(window, face.change, i, j))
+                vertex = vertex + _moved(window, face.change, i, j)
                 face = window.in_cell(face, np.array([i, j]))
-        turn = None
-        if not face.untilted:
-            columns = face.rotation.T
-            turn = (_vector(columns[0]), _vector(columns[1]), _vector(columns[2]))
+        turn = None if face.untilted else np.array([_vector(column) for column in face.rotation.T])
         steps.append(_Step(face, vertex, turn, Decimal(before), Decimal(after)))
     return steps
 
@@ -126,30 +125,29 @@ def _centre(window: Window, i: int, j: int, array: int) -> Vector:
     if lattice.turn:
         c, s = (Decimal(high) + Decimal(low) for high, low in cosine_and_sine(lattice.turn))
         x, y = c * x - s * y, s * x + c * y
-    return x + Decimal(sx), y + Decimal(sy), Decimal(0)
+    return np.array([x + Decimal(sx), y + Decimal(sy), Decimal(0)])
 
 
 def _moved(window: Window, change: VertexChange, i: int, j: int) -> Vector:
     """Displacement of the lens of a cell from its face's nominal position; see `VertexChange.at`."""
     x, y, _ = _centre(window, i, j, 0)
     (xx, xy), (yx, yy) = ((Decimal(a), Decimal(b)) for a, b in change.gradient)
-    moved = (xx * x + xy * y, yx * x + yy * y, Decimal(0))
+    moved = np.array([xx * x + xy * y, yx * x + yy * y, Decimal(0)])
     if change.table is not None:
         own = replace(change, gradient=((0.0, 0.0), (0.0, 0.0))).at(window.lattice, np.array([i, j]))
-        moved = _added(moved, (Decimal(float(own[0])), Decimal(float(own[1])), Decimal(0)))
+        moved[:2] += _vector(own[:2])
     along, across, climb_x, climb_y = (Decimal(s) for s in (*change.slope, *change.climb))
     lift = VertexChange(lift=change.lift).rise(window.lattice, np.array([i, j]), np.zeros(2))
-    rise = along * moved[0] + across * moved[1] + climb_x * x + climb_y * y + Decimal(float(lift))
-    return moved[0], moved[1], rise
+    moved[2] = along * moved[0] + across * moved[1] + climb_x * x + climb_y * y + Decimal(float(lift))
+    return moved
 
 
 def _through(steps: Sequence[_Step], position: Vector, ray: Vector) -> Vector | None:
     """Exit direction of one ray; None where it misses a face or is totally reflected."""
     for step in steps:
-        local = _subtracted(position, step.vertex)
+        local = position - step.vertex
         if step.turn is not None:
-            local = _into(step.turn, local)
-            ray = _into(step.turn, ray)
+            local, ray = step.turn @ local, step.turn @ ray
         met = _meet(step.face.surface, local, ray)
         if met is None:
             return None
@@ -158,8 +156,8 @@ def _through(steps: Sequence[_Step], position: Vector, ray: Vector) -> Vector | 
         if refracted is None:
             return None
         if step.turn is not None:
-            point, refracted = _out_of(step.turn, point), _out_of(step.turn, refracted)
-        position, ray = _added(point, step.vertex), refracted
+            point, refracted = point @ step.turn, refracted @ step.turn
+        position, ray = point + step.vertex, refracted
     return ray
 
 
@@ -167,7 +165,7 @@ def _meet(surface: Surface, start: Vector, ray: Vector) -> tuple[Vector, Vector]
     """Point and gradient where the ray crosses the surface near its apex plane."""
     s, cx, cy = surface.side, Decimal(surface.curvature_x), Decimal(surface.curvature_y)
     to_plane = -start[2] / ray[2]
-    x, y = start[0] + to_plane * ray[0], start[1] + to_plane * ray[1]
+    x, y, _ = foot = start + to_plane * ray
     kappa = Decimal(surface.kappa) if isinstance(surface, Quadric) else Decimal(0)
     # κ z² − 2 s z + cx x² + cy y² = 0 along (x, y, 0) + t ray
     a = cx * ray[0] ** 2 + cy * ray[1] ** 2 + kappa * ray[2] ** 2
@@ -178,16 +176,16 @@ def _meet(surface: Surface, start: Vector, ray: Vector) -> tuple[Vector, Vector]
         return None
     t = c / (s * discriminant.sqrt().copy_sign(ray[2]) - b)
     if isinstance(surface, Quadric):
-        point = (x + t * ray[0], y + t * ray[1], t * ray[2])
-        return point, (-s * cx * point[0], -s * cy * point[1], 1 - s * kappa * point[2])
-    return _meet_height(surface, (x, y, Decimal(0)), ray, t)
+        point = foot + t * ray
+        return point, np.array([0, 0, 1]) - s * np.array([cx, cy, kappa]) * point
+    return _meet_height(surface, foot, ray, t)
 
 
 def _meet_height(
     surface: Biconic | EvenPolynomial, start: Vector, ray: Vector, t: Decimal
 ) -> tuple[Vector, Vector] | None:
     for _ in range(60):
-        x, y, z = (p + t * d for p, d in zip(start, ray, strict=True))
+        x, y, z = point = start + t * ray
         height = _height(surface, x, y)
         if height is None:
             return None
@@ -196,7 +194,7 @@ def _meet_height(
         t -= change
         if abs(change) <= abs(t) * Decimal(10) ** (4 - DIGITS):
             break
-    return (x, y, z), (-slope_x, -slope_y, Decimal(1))
+    return point, np.array([-slope_x, -slope_y, Decimal(1)])
 
 
 def _height(
@@ -231,49 +229,21 @@ def _power(base: Decimal, exponent: int) -> Decimal:
 
 def _refracted(ray: Vector, gradient: Vector, before: Decimal, after: Decimal) -> Vector | None:
     """Refract by Snell's law: the tangential part of n·direction is conserved."""
-    length = _dot(gradient, gradient).sqrt()
-    normal = (gradient[0] / length, gradient[1] / length, gradient[2] / length)
-    along = _dot(ray, normal)
-    tangential = [(r - along * n) * before / after for r, n in zip(ray, normal, strict=True)]
-    left = 1 - sum((p * p for p in tangential), Decimal(0))
-    if left < 0:
-        return None
-    forward = left.sqrt().copy_sign(along)
-    x, y, z = (p + forward * n for p, n in zip(tangential, normal, strict=True))
-    return x, y, z
+    normal = _unit(gradient)
+    along = ray @ normal
+    tangential = (ray - along * normal) * before / after
+    left = 1 - tangential @ tangential
+    return None if left < 0 else tangential + left.sqrt().copy_sign(along) * normal
 
 
 def _angle(a: Vector, b: Vector) -> float:
-    cross = (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-    return float(np.arctan2(float(_dot(cross, cross).sqrt()), float(_dot(a, b))))
+    across = np.cross(a, b)
+    return float(np.arctan2(float((across @ across).sqrt()), float(a @ b)))
 
 
 def _vector(values: Sequence[float] | Floats) -> Vector:
-    x, y, z = (Decimal(float(v)) for v in values)
-    return x, y, z
+    return np.array([Decimal(float(v)) for v in values])
 
 
 def _unit(v: Vector) -> Vector:
-    length = _dot(v, v).sqrt()
-    return v[0] / length, v[1] / length, v[2] / length
-
-
-def _dot(a: Vector, b: Vector) -> Decimal:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _added(a: Vector, b: Vector) -> Vector:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-def _subtracted(a: Vector, b: Vector) -> Vector:
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
-
-
-def _into(columns: tuple[Vector, Vector, Vector], v: Vector) -> Vector:
-    return _dot(columns[0], v), _dot(columns[1], v), _dot(columns[2], v)
-
-
-def _out_of(columns: tuple[Vector, Vector, Vector], v: Vector) -> Vector:
-    x, y, z = (sum((columns[k][i] * v[k] for k in range(3)), Decimal(0)) for i in range(3))
-    return x, y, z
+    return np.asarray(v / (v @ v).sqrt())
