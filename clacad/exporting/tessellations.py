@@ -168,12 +168,11 @@ def shared_blocks(mesh: BodyMesh, shaded: bool) -> Iterator[Block]:
 
     ring = [mesh.ring().corners, *([plain_normals(mesh)] if shaded else [])]
     weld, begun = Welder(np.concatenate(ring, axis=2).reshape(-1, 3 * len(ring))), 0
-    for row, corners, normals in shaded_portions(mesh, shaded):
+    for row, corners, normals, places in shaded_portions(mesh, shaded):
         if row > begun + 1:
             weld.begin()
         begun = row if row > begun + 1 or row < begun else begun
-        both = corners if normals is None else np.concatenate([corners, normals], axis=2)
-        both = both.reshape(-1, both.shape[2])
-        number, first = weld.numbers(both)
-        new = both[first] + 0.0
-        yield Block(new[:, :3], new[:, 3:] if shaded else None, number.reshape(-1, 3))
+        place, smooth = corners.reshape(-1, 3), None if normals is None else normals.reshape(-1, 3)
+        number, first = weld.numbers(place, smooth, places())
+        new = None if smooth is None else smooth[first] + 0.0
+        yield Block(place[first] + 0.0, new, number.reshape(-1, 3))

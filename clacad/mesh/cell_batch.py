@@ -111,6 +111,13 @@ class RegularCell:
         face = np.where(level == LOW, 0, np.where(level == HIGH, 1, 2))
         return np.stack([point, face, level], axis=1)[triangles]
 
+    @cached_property
+    def inside(self) -> Bools:
+        """Whether a point lies on no side of the cell, (p,)."""
+        inside = np.ones(self.count, dtype=bool)
+        inside[np.concatenate(self.tile.plan.sides)] = False
+        return inside
+
     @property
     def kinds(self) -> Bytes:
         """Kinds (t,) of the caps' triangles."""

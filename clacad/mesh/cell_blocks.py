@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from clacad.base.arrays import unique_rows
-from clacad.base.types import Bytes, Floats, Ints
+from clacad.base.types import Bools, Bytes, Floats, Ints
 from clacad.mesh.cell_template import CELL, NOTHING, PLAIN, WALL, Template
 from clacad.mesh.integer_heights import FAR, NONE
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from clacad.mesh.cell_batch import CellBatch, OwnMeshCells
     from clacad.mesh.land_ring import Tiled
 
-BLOCK = 100_000
+BLOCK = 200_000
 """Number of triangles of a block, about: some megabytes."""
 
 MOST_CELLS = 4096
@@ -44,6 +44,12 @@ class CellBlock:
         """Kind (k,) and cell (k, 2) of the triangles of cells first … last − 1."""
         cells = self.cells[first:last]
         return np.tile(self.template.kind, len(cells)), np.repeat(cells, len(self.template.triangles), axis=0)
+
+    def places(self, first: int, last: int) -> tuple[Ints, Ints, Bools]:
+        """Where the corners of cells first … last − 1 lie; see `clacad.formats.mesh.measure.CornerPlaces`."""
+        corners = self.template.triangles.ravel()
+        start = len(corners) * np.arange(last - first + 1)
+        return start, np.tile(corners, last - first), self.template.inner
 
     def keys(self) -> Ints:
         """Owner cell, canonical point and level of each vertex, (n, 4)."""
@@ -82,8 +88,10 @@ class OwnBlock:
     cells : (n, 2) int64
     start : (n + 1,) int64. First triangle of each cell.
     facets : (t, 3, 3) lengths
-    points, levels : (t, 3) int64. Point of the footprint and level of each corner of regular cells.
+    points, levels : (t, 3) int64
+        Point of the footprint and level of each corner of regular cells; point −1 in rare ones.
     rare : cell of the block → Template
+    xy : (n, p, 2) lengths. Points of the footprint of regular cells, sheet frame.
     """
 
     cells: Ints
@@ -93,6 +101,7 @@ class OwnBlock:
     levels: Ints
     rare: Mapping[int, Template]
     tiled: Tiled
+    xy: Floats
 
     def corners(self, _first: int, _last: int) -> Floats:
         """Triangle corners (t, 3, 3) of all cells."""
@@ -112,25 +121,27 @@ class OwnBlock:
     def _owners(self) -> Ints:
         return np.repeat(self.cells, np.diff(self.start), axis=0)
 
-    def corner_points(self, chosen: Ints) -> tuple[Ints, Ints]:
-        """A corner of each point (p,) of the chosen triangles (k,), and the point of every corner (3 k,).
+    def places(self, _first: int, _last: int) -> tuple[Ints, Ints, Bools]:
+        """Where the corners lie; see `clacad.formats.mesh.measure.CornerPlaces`; unknown in rare cells."""
+        assert self.tiled.own is not None
+        return 3 * self.start, self.points.ravel(), self.tiled.own.regular.inside
 
-        A corner of a rare cell counts as a separate point.
+    def optical(self, kind: int) -> tuple[Ints, Ints, Ints, Ints]:
+        """Corners of the facets of a kind: cells (n,) that are regular, and the points (z,) that each of them
+        has; in `which` (t, 3) the row of each corner among these n z and, from there on, its place among the
+        corners of the facets (k,) of rare cells; −1 for those of other kinds.
         """
         assert self.tiled.own is not None
-        row = np.repeat(np.arange(len(self.cells)), np.diff(self.start))[chosen]
-        point = row[:, None] * self.tiled.own.regular.count + self.points[chosen]
-        apart = np.isin(row, list(self.rare))
-        point[apart] = len(self.cells) * self.tiled.own.regular.count + np.arange(3 * apart.sum()).reshape(
-            -1, 3
-        )
-        corner = np.arange(point.size)
-        last = np.empty(int(point.max()) + 1, dtype=np.int64)
-        last[point.ravel()] = corner
-        first = np.flatnonzero(last[point.ravel()] == corner)
-        number = np.empty(len(last), dtype=np.int64)
-        number[point.ravel()[first]] = np.arange(len(first))
-        return first, number[point.ravel()]
+        same, found = self.tiled.own.regular, np.full(self.points.shape, -1, dtype=np.int64)
+        chosen = np.setdiff1d(np.arange(len(self.cells)), list(self.rare))
+        mine = np.flatnonzero(same.kinds == kind)
+        points, which = np.unique(same.caps[mine, :, 0], return_inverse=True)
+        rows = self.start[chosen][:, None] + mine
+        found[rows] = len(points) * np.arange(len(chosen))[:, None, None] + which.reshape(-1, 3)
+        apart = [self.start[n] + np.flatnonzero(one.kind == kind) for n, one in self.rare.items()]
+        facets = np.concatenate([*apart, np.empty(0, dtype=np.int64)]).astype(np.int64)
+        found[facets] = len(chosen) * len(points) + np.arange(3 * len(facets)).reshape(-1, 3)
+        return chosen, points, found, facets
 
     def keys(self) -> Ints:
         """Owner cell, canonical point and level of each vertex, (n, 4)."""
@@ -204,12 +215,12 @@ def _block(tiled: Tiled, cells: Ints, states: Callable[[Ints], Bytes]) -> OwnBlo
     start = np.concatenate([[0], np.cumsum(counts)])
     total = int(start[-1])
     facets = np.empty((total, 3, 3))
-    points, levels = np.zeros((total, 3), dtype=np.int64), np.zeros((total, 3), dtype=np.int64)
-    _place(tiled, batch, (chosen, walls, first, start), (facets, points, levels))
+    points, levels = np.full((total, 3), -1, dtype=np.int64), np.zeros((total, 3), dtype=np.int64)
+    xy = _place(tiled, batch, (chosen, walls, first, start), (facets, points, levels))
     for n, template in made.items():
         block = CellBlock(template, cells[n : n + 1], tiled)
         facets[start[n] : start[n + 1]] = block.corners(0, 1)
-    return OwnBlock(cells, start, facets, points, levels, made, tiled)
+    return OwnBlock(cells, start, facets, points, levels, made, tiled, xy)
 
 
 def _walls(own: OwnMeshCells, batch: CellBatch, states: Bytes, chosen: Ints) -> tuple[Ints, Ints]:
@@ -257,8 +268,10 @@ def _work() -> Any:
 
 def _place(
     tiled: Tiled, batch: CellBatch, wanted: tuple[Ints, Ints, Ints, Ints], found: tuple[Floats, Ints, Ints]
-) -> None:
-    """Write corners, points and levels of the triangles of the chosen cells of a batch."""
+) -> Floats:
+    """Write corners, points and levels of the triangles of the chosen cells of a batch; returns positions
+    (n, p, 2) of the points of its cells.
+    """
     from clacad.mesh.compiled_walls import place_corners
 
     assert tiled.own is not None
@@ -275,3 +288,4 @@ def _place(
         (first, start[chosen], tiled.own.base.step),
         found,
     )
+    return np.asarray(xy)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.arrays import unique_rows
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Bools, Floats, Ints
 from clacad.mesh import cell_triangulation as pl
 from clacad.mesh.cell_triangulation import Column, Ring, strip
 from clacad.mesh.integer_heights import FAR, LAND, LENS, NONE
@@ -43,6 +43,7 @@ class Template:
     z : (v,) lengths
     triangles : (t, 3)
     kind : (t,) uint8. FRONT, FRONT_LAND, BACK, BACK_LAND or WALL.
+    inner : (v,) bool. Whether a vertex lies on no side of the cell: no other cell has it.
     """
 
     owner: Ints
@@ -52,6 +53,7 @@ class Template:
     z: Floats
     triangles: Ints
     kind: NDArray[np.uint8]
+    inner: Bools
 
     @cached_property
     def owners(self) -> tuple[Ints, Ints]:
@@ -265,7 +267,8 @@ class TemplateMaker:
         point, level = point[used], level[used]
         owner, canonical = self.places[0][point], self.places[1][point]
         heights = np.asarray(level * self.tile.step, dtype=np.float64)
-        return Template(owner, canonical, level, self.xy[point], heights, renumber[triangles], kind)
+        inner = ~np.isin(point, np.concatenate(self.tile.plan.sides))
+        return Template(owner, canonical, level, self.xy[point], heights, renumber[triangles], kind, inner)
 
     def _walls(self, states: dict[Offset, int], code: bytes) -> list[tuple[tuple[int, int], ...]]:
         found: list[tuple[tuple[int, int], ...]] = []

@@ -284,3 +284,27 @@ def place_corners(
                 points[at + t, c], levels[at + t, c] = point, level
                 corners[at + t, c, 0], corners[at + t, c, 1] = xy[i, point, 0], xy[i, point, 1]
                 corners[at + t, c, 2] = level * step
+
+
+@entry
+def corner_normals(corners: Floats, exact: Floats, which: Ints, out: Floats) -> None:
+    """Write unit normals at the corners of triangles (t, 3, 3): the exact ones (m, 3) of rows `which` (t, 3),
+    where they are numbers, else those of the triangles; (0, 0, 1) for one without area.
+    """
+    for t in range(len(corners)):
+        ux, uy, uz = corners[t, 1, 0], corners[t, 1, 1], corners[t, 1, 2]
+        vx, vy, vz = corners[t, 2, 0], corners[t, 2, 1], corners[t, 2, 2]
+        ux, uy, uz = ux - corners[t, 0, 0], uy - corners[t, 0, 1], uz - corners[t, 0, 2]
+        vx, vy, vz = vx - corners[t, 0, 0], vy - corners[t, 0, 1], vz - corners[t, 0, 2]
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        length = np.sqrt((x * x + y * y) + z * z)
+        flat = not length > 0.0
+        length = 1.0 if flat else length
+        for c in range(3):
+            out[t, c, 0], out[t, c, 1], out[t, c, 2] = x / length, y / length, z / length
+            if flat:
+                out[t, c, 0], out[t, c, 1], out[t, c, 2] = 0.0, 0.0, 1.0
+            row = which[t, c]
+            for axis in range(3):
+                if row >= 0 and not np.isnan(exact[row, axis]):
+                    out[t, c, axis] = exact[row, axis]

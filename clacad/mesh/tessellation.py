@@ -12,11 +12,12 @@ from functools import cache, partial
 from itertools import groupby
 from math import ceil
 from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Bools, Floats, Ints
 from clacad.base.vectors import doubled_normals
 from clacad.mesh.body_mesh import BodyMesh, Mesh, Plain, no_plain, portions
 from clacad.mesh.cell_blocks import OwnBlock
@@ -383,29 +384,42 @@ def _with_exact(
     return normals
 
 
-def shaded_portions(mesh: BodyMesh, shaded: bool = True) -> Iterator[tuple[int, Floats, Floats | None]]:
-    """Yield the blocks of `mesh.rows()`: least row of cells, corners and their outward normals (k, 3, 3).
+class Portion(NamedTuple):
+    """Some triangles of a body.
 
-    shaded : Whether normals are wanted; else they are None.
+    row : Least row of their cells.
+    corners : (k, 3, 3) lengths
+    normals : (k, 3, 3) or None. Outward, at the corners.
+    places : Where the corners lie in their cells; see `clacad.formats.mesh.measure.CornerPlaces`.
     """
+
+    row: int
+    corners: Floats
+    normals: Floats | None
+    places: Callable[[], tuple[Ints, Ints, Bools] | None]
+
+
+def shaded_portions(mesh: BodyMesh, shaded: bool = True) -> Iterator[Portion]:
+    """Yield the blocks of `mesh.rows()`; `shaded`: with normals."""
     known: dict[int, Floats] = {}
     count, row = len(mesh.ring().triangles), 0
     for block, first, last in portions(mesh):
         corners, row = block.corners(first, last), int(block.cells[first:last, 1].min())
         count += len(corners)
+        places = partial(block.places, first, last)
         if not shaded:
-            yield row, corners, None
+            yield Portion(row, corners, None, places)
             continue
         if isinstance(block, OwnBlock):
-            yield row, corners, own_normals(mesh, block)
+            yield Portion(row, corners, own_normals(mesh, block), places)
             continue
         template = block.template
         if id(template) not in known:
             known[id(template)] = template_normals(block.tiled.lattice, mesh.body, template)
-        yield row, corners, np.tile(known[id(template)], (last - first, 1, 1))
+        yield Portion(row, corners, np.tile(known[id(template)], (last - first, 1, 1)), places)
     mesh.counted[:] = [count]
     if len(mesh.ring().triangles):
-        yield row, mesh.ring().corners, plain_normals(mesh) if shaded else None
+        yield Portion(row, mesh.ring().corners, plain_normals(mesh) if shaded else None, lambda: None)
 
 
 def plain_normals(mesh: BodyMesh) -> Floats:
@@ -415,24 +429,33 @@ def plain_normals(mesh: BodyMesh) -> Floats:
 
 def shaded_rows(mesh: BodyMesh) -> Iterator[tuple[Floats, Floats]]:
     """Yield corners and their outward normals (k, 3, 3) of each block of `mesh.rows()`, in the same order."""
-    for _, corners, normals in shaded_portions(mesh):
+    for _, corners, normals, _ in shaded_portions(mesh):
         assert normals is not None
         yield corners, normals
 
 
 def own_normals(mesh: BodyMesh, block: OwnBlock) -> Floats:
     """Outward corner normals (t, 3, 3) of a block of cells that differ."""
-    kinds, owners = block.tags(0, len(block.cells))
+    from clacad.mesh.compiled_walls import corner_normals
 
-    def exact(face: Face, mine: Ints) -> Floats:
-        first, which = block.corner_points(mine)
-        facet, corner = np.divmod(first, 3)
-        cells, points = owners[mine[facet]], block.facets[mine[facet], corner, :2]
-        centres = block.tiled.lattice.centres(cells) + np.array(block.tiled.shift)
-        places = mesh.window.lenses(face, cells)
-        return heights_and_normals_of_lenses(face, places, *(points - centres).T)[1][which]
-
-    return _with_exact(_facet_normals(block.facets), kinds, mesh.body, exact)
+    rows, exact = np.full(block.points.shape, -1, dtype=np.int64), [np.empty((0, 3))]
+    shift, lattice = np.array(block.tiled.shift), block.tiled.lattice
+    for kind, face, outward in ((FRONT, mesh.body.front, -1.0), (BACK, mesh.body.back, 1.0)):
+        if face.array is None:
+            continue
+        chosen, points, which, facets = block.optical(kind)
+        owners = np.repeat(block.cells, np.diff(block.start), axis=0)[facets]
+        regular, rare = block.xy[chosen][:, points], block.facets[facets, :, :2]
+        base = sum(map(len, exact))
+        np.copyto(rows, base + which, where=which >= 0)
+        for cells, xy in ((block.cells[chosen], regular), (owners, rare)):
+            at = xy - (lattice.centres(cells) + shift)[:, None]
+            places = mesh.window.lenses(face, cells[:, None])
+            true = heights_and_normals_of_lenses(face, places, at[..., 0], at[..., 1])[1]
+            exact.append(outward * true.reshape(-1, 3))
+    normals = np.empty_like(block.facets)
+    corner_normals(block.facets, np.concatenate(exact), rows, normals)
+    return normals
 
 
 def _facet_normals(corners: Floats) -> Floats:

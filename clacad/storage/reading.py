@@ -169,10 +169,12 @@ class ElementRun:
 
     form : bytes. Regular expression of one element.
     take : Receives the text of many elements, spaces between them included.
+    quick : Takes elements of a narrower form from the beginning of a text; returns the bytes that it took.
     """
 
     form: bytes
     take: Callable[[bytes], None]
+    quick: Callable[[bytes], int] = lambda _: 0
 
 
 @dataclass(eq=False)
@@ -229,6 +231,12 @@ class RunReader:
             self.parser.Parse(text, False)
             self._given += len(text)
 
+    def _pass(self, size: int) -> bytes:
+        """Drop and return text that was taken; the parser gets its line breaks and keeps its line numbers."""
+        text, self._rest = self._rest[:size], self._rest[size:]
+        self._give(b"\n" * text.count(b"\n"))
+        return text
+
     def _to_parent(self) -> bool:
         """Pass text to the parser up to the next parent of a run; return whether the parser confirms one."""
         found = self._parent.search(self._rest) if self.runs else None
@@ -249,12 +257,12 @@ class RunReader:
 
     def _through_run(self) -> bool:
         """Read the available elements; return whether the run has ended."""
+        run = self.runs[self._inside]
+        self._pass(run.quick(self._rest))
         found = self._forms[self._inside].match(self._rest)
         assert found is not None
         if found.end():
-            text, self._rest = self._rest[: found.end()], self._rest[found.end() :]
-            self.runs[self._inside].take(text)
-            self._give(b"\n" * text.count(b"\n"))  # so that the parser's line numbers stay right
+            run.take(self._pass(found.end()))
         if len(self._rest) < LONGEST:
             return False  # possibly the start of one more element
         self._inside = ""

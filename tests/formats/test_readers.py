@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import meshtoys
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -23,6 +24,7 @@ from noworker import without_worker
 
 from clacad.base.arrays import welded
 from clacad.formats.mesh import threemf
+from clacad.formats.mesh.compiled_measure import read_lines
 from clacad.formats.mesh.glb import write_glb
 from clacad.formats.mesh.measure import crowded_edges, edge_times, measure
 from clacad.formats.mesh.ply import read_ply, write_ply
@@ -66,15 +68,11 @@ def test_lines_joined_by_the_kernel_are_those_of_plain_python(monkeypatch: pytes
     vertices = np.where(rng.random((301, 3)) < 0.1, 0.0, rng.normal(size=(301, 3)))
     vertices *= 10.0 ** rng.integers(-9, 20, size=(301, 1))
     piece = Piece.of("body", vertices, rng.integers(0, 301, size=(700, 3)))
-    plain = "".join(threemf.mesh_lines(piece, 1, 25.4))
+    plain = b"".join(threemf.joined_lines(threemf.mesh_lines(piece, 1, 25.4))).decode()
     monkeypatch.setattr(threemf, "MANY", 64)
-    assert "".join(threemf.mesh_lines(piece, 1, 25.4)) == plain
+    assert b"".join(threemf.joined_lines(threemf.mesh_lines(piece, 1, 25.4))).decode() == plain
     numbers = re.findall(r'"(\d+)"', plain.split("<triangles>")[1])
     assert np.array_equal(np.array(numbers, dtype=int).reshape(-1, 3), piece.whole.triangles)
-    for count in (1, 10, 11, 1003):
-        letters, starts = threemf._counting(count)
-        assert letters.tobytes().decode() == "".join(map(str, range(count)))
-        assert np.diff(starts).tolist() == [len(str(n)) for n in range(count)]
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
@@ -639,3 +637,36 @@ def test_an_ascii_ply_that_trimesh_would_take_is_refused_by_its_name(tmp_path, o
     path.write_text(PLY_HEAD.format("ascii") + text.replace(old, new))
     with pytest.raises(UnreadableFile, match=r"^x\.ply: "):
         read_ply(path)
+
+
+@pytest.mark.slow
+def test_lines_read_by_the_kernel_are_numbers_as_python_reads_them() -> None:
+    """Shortest texts of doubles of many sizes, and 18 digits next to the middle between two doubles."""
+    rng = np.random.default_rng(8)
+    values = rng.normal(size=6000) * 10.0 ** rng.integers(-5, 16, size=6000)
+    words = [*map(repr, values.tolist()), "0.0", "-0.0", "5e-05", "12", "-7.25e+2", "0.000000000000000000001"]
+    with mpmath.workdps(60):
+        for value in np.abs(values[:1000]).tolist():
+            middle = mpmath.mpf(value) + (mpmath.mpf(np.nextafter(value, np.inf)) - mpmath.mpf(value)) / 2
+            words += [mpmath.nstr(middle, digits, min_fixed=-9, max_fixed=19) for digits in (17, 18)]
+    words += ["1.0"] * (-len(words) % 3)
+    lines = [words[n : n + 3] for n in range(0, len(words), 3)]
+    marks, ends = threemf._marks(threemf.VERTEX)
+    read = 0
+    for line in lines:
+        text = b"".join(a + b.encode() for a, b in zip(threemf.VERTEX, [*line, ""], strict=True))
+        found = np.empty((1, 3))
+        count, behind = read_lines(np.frombuffer(text, dtype=np.uint8), marks, ends, False, found)
+        assert (count, behind) in ((1, len(text)), (0, 0))
+        if count:
+            read += 1
+            assert found[0].tolist() == [float(word) for word in line]
+            assert np.signbit(found[0]).tolist() == [word.startswith("-") for word in line]
+    assert read > 0.95 * len(lines)
+    for text in (
+        b'<vertex x="1" y="2" z="3" />\n',
+        b'<vertex x="1." y="2" z="3',
+        b'<vertex x="" y="2" z="3"/>\n',
+    ):
+        found = np.empty((1, 3))
+        assert read_lines(np.frombuffer(text, dtype=np.uint8), marks, ends, False, found) == (0, 0)

@@ -71,17 +71,19 @@ def _write_gds(job: Job) -> list[FileRecord]:
     """One GDSII file a structured face, and one calibration file for them all."""
     from clacad.formats.maps.gds import check_gds, grey_cell, write_gds
     from clacad.formats.maps.sag import structured_faces
+    from clacad.storage.reading import Overheard
 
     records, calibration = [], {}
     for body, face, label in structured_faces(job.window):
         cell = grey_cell(job.window, body, face, label, job.request.grey_levels, job.scale)
         path = job.stage.path(f"{job.stem}.{label}.gds")
         job.progress(f"write {path.name}", 0.0)
-        placed, counts = write_gds(cell, path, job.scale)
+        placed, counts, written = write_gds(cell, path, job.scale)
         calibration[label] = cell.calibration(job.scale, counts)
-        check_gds(cell, path, job.scale)
+        heard = Overheard(path)
+        check_gds(cell, path, job.scale, written, heard.hexdigest())
         facts = {"mode": "fused" if cell.own else "instanced", "grey_levels": cell.levels, "lenslets": placed}
-        records.append(job.record(path, GDS, unit="um", bodies=[body.name], facts=facts))
+        records.append(job.record(path, GDS, unit="um", bodies=[body.name], facts=facts, heard=heard))
     return [*records, calibration_record(job, GDS, calibration)]
 
 

@@ -342,7 +342,7 @@ def _threemf_bytes(meshes: Meshes, quads: int) -> int:
         if not len(corners):
             continue
         piece = weld(body, corners)
-        text = "".join(threemf.mesh_lines(piece, 1, millimetres(meshes.window.unit))).encode()
+        text = b"".join(threemf.joined_lines(threemf.mesh_lines(piece, 1, millimetres(meshes.window.unit))))
         # one stream for all bodies, as in the file: a second body similar to the first compresses well
         size = len(packed.compress(text)) + len(packed.flush(zlib.Z_SYNC_FLUSH))
         total += size * part.facets_about / len(corners)

@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
+from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -244,19 +245,21 @@ class _Pixels:
         return np.where(inside, np.clip(np.rint(part * (levels - 1)), 0, levels - 1), -1).astype(np.int64)
 
 
-def write_gds(cell: GreyCell, path: Path, scale: float) -> tuple[int, Ints]:
+def write_gds(cell: GreyCell, path: Path, scale: float) -> tuple[int, Ints, str]:
     """Write the cell once and a reference a row of cells, or each cell that differs; return the number of
-    cells placed, and of pixels of each layer (levels,).
+    cells placed, that of pixels of each layer (levels,), and the SHA-256 of what was written.
 
     Raises NotPossible: The extra `gds`, which reads files back, is not installed.
     Raises OSError.
     """
     require_gdstk()
     counts = np.zeros(cell.levels, dtype=np.int64)
+    digest = sha256()
     with path.open("wb") as stream:
         for part in _stream(cell, scale, counts):
             stream.write(part)
-    return cell.map.window.lattice.cell_count, counts
+            digest.update(part)
+    return cell.map.window.lattice.cell_count, counts, digest.hexdigest()
 
 
 def _stream(cell: GreyCell, scale: float, counts: Ints) -> Iterator[bytes]:
@@ -384,14 +387,17 @@ def _count_of_boxes(level: Ints) -> int:
     return len(_boxes(level, *2 * [np.zeros(level.shape[2] + level.shape[1], dtype=np.int32)])[0])
 
 
-def check_gds(cell: GreyCell, path: Path, scale: float) -> None:
+def check_gds(cell: GreyCell, path: Path, scale: float, written: str = "", found: str = "") -> None:
     """Read a file back, by gdstk and by its bare records, and compare its levels with the lens formula.
 
     A file of cells that vary is compared with the stream that it should be; if it is another one, it is read.
+    Where the SHA-256 of what was written and that of the file are given, they must agree.
 
     Raises FileDisagrees, UnreadableFile.
     """
-    if cell.own and _is_stream(cell, path, scale):
+    if cell.own and written != found:
+        raise FileDisagrees(f"{path.name}: other bytes were read back than were written")
+    if cell.own and (written or _is_stream(cell, path, scale)):
         return
     placed = cell.map.window.lattice.cell_count
     by_name = _cells(path)

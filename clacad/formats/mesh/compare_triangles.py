@@ -140,12 +140,11 @@ class _Sample:
             [],
         )
 
-    def passing(self, corners: Floats) -> Floats:
-        """Collect the sampled facets among the next ones (k, 3, 3); return all of them unchanged."""
-        first, last = np.searchsorted(self.chosen, [self.passed, self.passed + len(corners)])
-        self.found.append(corners[self.chosen[first:last] - self.passed])
-        self.passed += len(corners)
-        return corners
+    def passing(self, points: Floats, facets: Ints) -> None:
+        """Collect the sampled ones among the next facets (k, 3), given by rows of points (n, 3)."""
+        first, last = np.searchsorted(self.chosen, [self.passed, self.passed + len(facets)])
+        self.found.append(points[facets[self.chosen[first:last] - self.passed]])
+        self.passed += len(facets)
 
     def facets(self, mesh: FileMesh) -> Floats:
         """The facets (n, 3, 3), file unit."""

@@ -12,7 +12,11 @@ import numpy as np
 
 from clacad.base.compiled import entry, exact, inlined, mixed, two_sum
 from clacad.base.hashing import GOLDEN, MIX, STIR
-from clacad.base.types import Bytes, Cells, Floats, Ints, Singles, Words
+from clacad.base.types import Bools, Bytes, Cells, Floats, Ints, Singles, Words
+from clacad.formats.step.compiled_text import one_number
+
+DIGIT = 48
+"""Code of the digit 0."""
 
 FIRST, SECOND = np.uint64(GOLDEN), np.uint64(0xC2B2AE3D27D4EB4F)
 """Seeds of the two hashes."""
@@ -24,9 +28,9 @@ VOLUME, AREA = 0, 2
 
 
 @inlined
-def point_hash(words: Words, facet: int, corner: int, seed: np.uint64) -> np.uint64:
-    """Hash of a corner from the bits of its coordinates; −0 is 0."""
-    x, y, z = words[facet, corner, 0], words[facet, corner, 1], words[facet, corner, 2]
+def point_hash(words: Words, row: int, seed: np.uint64) -> np.uint64:
+    """Hash of a point from the bits of its coordinates; −0 is 0."""
+    x, y, z = words[row, 0], words[row, 1], words[row, 2]
     x = ZERO if x == MINUS_ZERO else x
     y = ZERO if y == MINUS_ZERO else y
     z = ZERO if z == MINUS_ZERO else z
@@ -47,31 +51,41 @@ def edge_hash(start: np.uint64, end: np.uint64, seed: np.uint64) -> np.uint64:
 
 @entry
 def add_facets(
-    corners: Floats, words: Words, origin: Floats, sums: Words, totals: Floats, box: Floats
+    points: Floats,
+    words: Words,
+    facets: Ints,
+    hashes: Words,
+    origin: Floats,
+    sums: Words,
+    totals: Floats,
+    box: Floats,
 ) -> None:
-    """Add facets (k, 3, 3) to the sums over a stream.
+    """Add facets (k, 3), given by rows of points (n, 3), to the sums over a stream.
 
-    words : (k, 3, 3). The bits of `corners`.
+    words : (n, 3). The bits of `points`.
+    hashes : (n, 2). Written here.
     origin : (3,). Point the cones of the volume start from.
     sums : (2,). Of the hashes of directed edges.
     totals : (4,). See VOLUME and AREA; each is a rounded sum and its rounding error.
     box : (2, 3). Lowest and highest corner.
     """
-    for f in range(len(corners)):
+    for row in range(len(points)):
+        hashes[row, 0] = point_hash(words, row, FIRST)
+        hashes[row, 1] = point_hash(words, row, SECOND)
+    for f in range(len(facets)):
+        one, two, three = facets[f, 0], facets[f, 1], facets[f, 2]
         for k in range(2):
             seed = FIRST if k == 0 else SECOND
-            a = point_hash(words, f, 0, seed)
-            b = point_hash(words, f, 1, seed)
-            c = point_hash(words, f, 2, seed)
+            a, b, c = hashes[one, k], hashes[two, k], hashes[three, k]
             sums[k] += edge_hash(a, b, seed) + edge_hash(b, c, seed) + edge_hash(c, a, seed)
         for axis in range(3):
             for corner in range(3):
-                place = corners[f, corner, axis]
+                place = points[facets[f, corner], axis]
                 box[0, axis] = min(place, box[0, axis])
                 box[1, axis] = max(place, box[1, axis])
-        ax, ay, az = corners[f, 0, 0] - origin[0], corners[f, 0, 1] - origin[1], corners[f, 0, 2] - origin[2]
-        bx, by, bz = corners[f, 1, 0] - origin[0], corners[f, 1, 1] - origin[1], corners[f, 1, 2] - origin[2]
-        cx, cy, cz = corners[f, 2, 0] - origin[0], corners[f, 2, 1] - origin[1], corners[f, 2, 2] - origin[2]
+        ax, ay, az = points[one, 0] - origin[0], points[one, 1] - origin[1], points[one, 2] - origin[2]
+        bx, by, bz = points[two, 0] - origin[0], points[two, 1] - origin[1], points[two, 2] - origin[2]
+        cx, cy, cz = points[three, 0] - origin[0], points[three, 1] - origin[1], points[three, 2] - origin[2]
         ux, uy, uz = bx - ax, by - ay, bz - az
         vx, vy, vz = cx - ax, cy - ay, cz - az
         nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -82,11 +96,10 @@ def add_facets(
 
 
 @entry
-def hash_corners(words: Words, hashes: Words) -> None:
-    """Hash every corner of facets (k, 3, 3), given by the bits of its coordinates, into (k, 3)."""
-    for f in range(len(words)):
-        for c in range(3):
-            hashes[f, c] = point_hash(words, f, c, FIRST)
+def hash_points(words: Words, hashes: Words) -> None:
+    """Hash points (n, 3), given by the bits of their coordinates, into (n,)."""
+    for row in range(len(words)):
+        hashes[row] = point_hash(words, row, FIRST)
 
 
 @entry
@@ -141,15 +154,27 @@ def rehash(table: Words, number: Cells, larger: Words, renumbered: Cells) -> Non
             renumbered[slot] = number[k]
 
 
+@exact
+def _facet_normal(corners: Singles, f: int) -> tuple[np.float32, np.float32, np.float32]:
+    """Normal of a facet of rounded corners, of length 1, or 0 for one without area."""
+    ax, ay, az = np.float64(corners[f, 0, 0]), np.float64(corners[f, 0, 1]), np.float64(corners[f, 0, 2])
+    ux, uy, uz = corners[f, 1, 0] - ax, corners[f, 1, 1] - ay, corners[f, 1, 2] - az
+    vx, vy, vz = corners[f, 2, 0] - ax, corners[f, 2, 1] - ay, corners[f, 2, 2] - az
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = np.sqrt(nx * nx + ny * ny + nz * nz)
+    if not length > 0.0:
+        length = 1.0
+    zero = np.float32(0.0)
+    return np.float32(nx / length) + zero, np.float32(ny / length) + zero, np.float32(nz / length) + zero
+
+
 @entry
-def facet_numbers(corners: Floats, scale: float, numbers: Singles) -> bool:
-    """Write normal and corners of facets (k, 3, 3) into (k, 4, 3) float32; return whether all of them are
-    finite.
+def facet_numbers(corners: Floats, scale: float, normals: Singles, rounded: Singles) -> bool:
+    """Write normals (k, 3) and corners (k, 3, 3) of facets as float32; return whether all of them are finite.
 
     scale : File units per unit of the corners.
 
-    Corners are rounded first, without −0; the normal is that of the rounded triangle, of length 1, or 0 for
-    one without area.
+    Corners are rounded first, without −0.
     """
     finite = True
     zero = np.float32(0.0)
@@ -157,19 +182,33 @@ def facet_numbers(corners: Floats, scale: float, numbers: Singles) -> bool:
         for corner in range(3):
             for axis in range(3):
                 value = np.float32(corners[f, corner, axis] * scale) + zero
-                numbers[f, 1 + corner, axis] = value
+                rounded[f, corner, axis] = value
                 finite = finite and np.isfinite(value)
-        ax, ay, az = np.float64(numbers[f, 1, 0]), np.float64(numbers[f, 1, 1]), np.float64(numbers[f, 1, 2])
-        ux, uy, uz = numbers[f, 2, 0] - ax, numbers[f, 2, 1] - ay, numbers[f, 2, 2] - az
-        vx, vy, vz = numbers[f, 3, 0] - ax, numbers[f, 3, 1] - ay, numbers[f, 3, 2] - az
-        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        length = np.sqrt(nx * nx + ny * ny + nz * nz)
-        if not length > 0.0:
-            length = 1.0
-        numbers[f, 0, 0] = np.float32(nx / length) + zero
-        numbers[f, 0, 1] = np.float32(ny / length) + zero
-        numbers[f, 0, 2] = np.float32(nz / length) + zero
+        normals[f, 0], normals[f, 1], normals[f, 2] = _facet_normal(rounded, f)
     return finite
+
+
+@entry
+def as_written(normals: Singles, corners: Singles, bits: Cells, attributes: Cells) -> bool:
+    """Whether facets are finite and as `facet_numbers` writes them, to the last bit.
+
+    bits : (k, 12). Normals and corners as integers.
+    attributes : (k,). Must be 0.
+    """
+    minus = np.int32(-(2**31))
+    for f in range(len(corners)):
+        sound = attributes[f] == 0
+        for n in range(12):
+            sound = sound and bits[f, n] != minus
+        for corner in range(3):
+            for axis in range(3):
+                sound = sound and np.isfinite(corners[f, corner, axis])
+        if not sound:
+            return False
+        x, y, z = _facet_normal(corners, f)
+        if normals[f, 0] != x or normals[f, 1] != y or normals[f, 2] != z:
+            return False
+    return True
 
 
 @entry
@@ -195,6 +234,76 @@ def join_words(words: Ints, letters: Bytes, starts: Ints, between: Bytes, ends: 
     return at
 
 
+@entry
+def join_whole(numbers: Ints, between: Bytes, ends: Ints, out: Bytes) -> int:
+    """Write lines of three whole numbers from 0 on, as `join_words` writes words; their length."""
+    at = 0
+    for row in range(len(numbers)):
+        for part in range(4):
+            for k in range(ends[part], ends[part + 1]):
+                out[at] = between[k]
+                at += 1
+            if part < 3:
+                value, size = numbers[row, part], 1
+                while value >= 10:
+                    value //= 10
+                    size += 1
+                value = numbers[row, part]
+                for k in range(at + size - 1, at - 1, -1):
+                    out[k] = DIGIT + value % 10
+                    value //= 10
+                at += size
+    return at
+
+
+@exact
+def _whole(text: Bytes, at: int, found: Floats, line: int, part: int) -> int:
+    """Read a whole number of up to 15 digits; index behind it, −1 where there is none."""
+    value, first = 0, at
+    while at < len(text) and DIGIT <= text[at] <= DIGIT + 9:
+        value = 10 * value + (int(text[at]) - DIGIT)
+        at += 1
+    found[line, part] = value
+    return at if first < at <= first + 15 else -1
+
+
+@entry
+def read_lines(text: Bytes, between: Bytes, ends: Ints, whole: bool, found: Floats) -> tuple[int, int]:
+    """Read lines as `join_words` writes them, each three numbers; count of lines, and index behind the last.
+
+    whole : Whether the numbers are whole, of up to 15 digits.
+    found : (n, 3). Receives the numbers.
+
+    Reading ends before a line of another form, and before a number that needs more than one rounding.
+    """
+    line = behind = 0
+    while line < len(found):
+        at = behind
+        while at < len(text) and (text[at] == 32 or text[at] == 13 or 9 <= text[at] <= 10):
+            at += 1
+        for part in range(4):
+            size = ends[part + 1] - ends[part]
+            if at + size > len(text):
+                return line, behind
+            for k in range(size):
+                if text[at + k] != between[ends[part] + k]:
+                    return line, behind
+            at += size
+            if part == 3:
+                break
+            first = at
+            at = (
+                _whole(text, at, found, line, part)
+                if whole
+                else one_number(text, at, len(text), found[line], part)
+            )
+            if at <= first:
+                return line, behind
+        behind = at
+        line += 1
+    return line, behind
+
+
 # -- shared vertices ---------------------------------------------------------------------------
 FREE, PENDING = -1, -2
 """Numbers of a place of a table without a vertex, and of a vertex that was named and has not come yet."""
@@ -212,95 +321,161 @@ class VertexTable(NamedTuple):
 
 
 @inlined
-def _word(words: Words, row: int, column: int) -> np.uint64:
-    """Bits of one number; −0 is 0."""
-    word = words[row, column]
+def _word(place: Words, smooth: Words, row: int, column: int) -> np.uint64:
+    """Bits of one number of a vertex: those of its place, then those of its normal; −0 is 0."""
+    word = place[row, column] if column < place.shape[1] else smooth[row, column - place.shape[1]]
     return ZERO if word == MINUS_ZERO else word
 
 
 @exact
-def _hash(words: Words, row: int) -> np.uint64:
+def _hash(place: Words, smooth: Words, row: int, columns: int) -> np.uint64:
     value = FIRST
-    for column in range(words.shape[1]):
-        value = mixed(value ^ _word(words, row, column)) * MIX
+    for column in range(columns):
+        value = mixed(value ^ _word(place, smooth, row, column)) * MIX
     return value
 
 
 @exact
-def _place(table: VertexTable, words: Words, row: int, key: np.uint64) -> int:
-    """Place of a vertex in a table, or the free place where it belongs."""
+def _place(table: VertexTable, place: Words, smooth: Words, row: int, key: np.uint64) -> int:
+    """Index of a vertex in a table, or the free one where it belongs."""
     mask = np.uint64(len(table.number) - 1)
-    place = key & mask
-    while table.number[place] != FREE:
+    index = key & mask
+    while table.number[index] != FREE:
         same = True
-        for column in range(words.shape[1]):
-            same = same and table.words[place, column] == _word(words, row, column)
+        for column in range(table.words.shape[1]):
+            same = same and table.words[index, column] == _word(place, smooth, row, column)
         if same:
             break
-        place = (place + np.uint64(1)) & mask
-    return int(place)
+        index = (index + np.uint64(1)) & mask
+    return int(index)
 
 
 @exact
-def _put(table: VertexTable, place: int, words: Words, row: int, number: int) -> None:
-    table.number[place] = number
-    for column in range(words.shape[1]):
-        table.words[place, column] = _word(words, row, column)
+def _put(table: VertexTable, index: int, place: Words, smooth: Words, row: int, number: int) -> None:
+    table.number[index] = number
+    for column in range(table.words.shape[1]):
+        table.words[index, column] = _word(place, smooth, row, column)
 
 
 @entry
 def name_vertices(words: Words, table: VertexTable) -> None:
     """Put vertices (n, c) that have not come yet into a table."""
     for row in range(len(words)):
-        _put(table, _place(table, words, row, _hash(words, row)), words, row, PENDING)
+        key = _hash(words, words, row, words.shape[1])
+        _put(table, _place(table, words, words, row, key), words, words, row, PENDING)
 
 
 @entry
 def move_vertices(table: VertexTable, larger: VertexTable) -> None:
     """Put the vertices of a table into a larger one."""
+    words = table.words
     for old in range(len(table.number)):
         if table.number[old] != FREE:
-            place = _place(larger, table.words, old, _hash(table.words, old))
-            _put(larger, place, table.words, old, table.number[old])
+            place = _place(larger, words, words, old, _hash(words, words, old, words.shape[1]))
+            _put(larger, place, words, words, old, table.number[old])
+
+
+class CellCorners(NamedTuple):
+    """Where corners lie within the cells of a block.
+
+    start : (cells + 1,). First corner of each cell.
+    points : (n,). Point of the footprint of each corner; −1: unknown.
+    inner : (p,). Whether a point lies inside the cell, where no other cell has a vertex.
+    last, before : (p,), (n,). Written by the kernel; `last` begins with −1.
+    """
+
+    start: Ints
+    points: Ints
+    inner: Bools
+    last: Ints
+    before: Ints
+
+
+@inlined
+def _same(words: Words, one: int, other: int) -> bool:
+    """Whether two rows are equal; −0 is 0."""
+    for column in range(words.shape[1]):
+        a, b = words[one, column], words[other, column]
+        if a != b and a | b != MINUS_ZERO:
+            return False
+    return True
+
+
+@exact
+def _in_cell(cells: CellCorners, place: Words, smooth: Words, row: int, low: int) -> int:
+    """First row of the cell, which begins at row `low`, with the vertex of this one; −1 where it is new."""
+    seen = cells.last[cells.points[row]]
+    while seen >= low and not (_same(place, seen, row) and _same(smooth, seen, row)):
+        seen = cells.before[seen]
+    return int(seen) if seen >= low else -1
+
+
+@exact
+def _known(
+    tables: tuple[VertexTable, ...], place: Words, smooth: Words, row: int, number: int
+) -> tuple[int, bool]:
+    """Number of a vertex by the tables recent, older, always, and whether it has come to the first of them.
+
+    number : The one that it gets where it is new.
+    """
+    recent, older, always = tables
+    key = _hash(place, smooth, row, recent.words.shape[1])
+    here = _place(recent, place, smooth, row, key)
+    if recent.number[here] != FREE:
+        return recent.number[here], False
+    found = older.number[_place(older, place, smooth, row, key)]
+    if found < 0:
+        there = _place(always, place, smooth, row, key)
+        found = always.number[there]
+        if found == PENDING:
+            always.number[there] = number
+    if found < 0:
+        found = number
+    _put(recent, here, place, smooth, row, found)
+    return found, True
 
 
 @entry
 def number_vertices(
-    words: Words,
-    recent: VertexTable,
-    older: VertexTable,
-    always: VertexTable,
-    counts: tuple[int, int],
+    place: Words,
+    smooth: Words,
+    cells: CellCorners,
+    tables: tuple[VertexTable, ...],
+    counts: tuple[int, int, int, int],
     numbers: Ints,
     fresh: Ints,
-) -> tuple[int, int]:
-    """Number vertices (n, c) by the tables; new ones come to `recent`, and older ones that are met again.
+) -> tuple[int, int, int]:
+    """Number vertices (n, 3), with normals (n, 3) or (n, 0), by their cells and by the tables recent, older
+    and always; new ones come to `recent`, and older ones that are met again.
 
-    counts : vertices numbered before, and used places of `recent`
+    counts : First row, vertices numbered before, new ones among them of these rows, used places of `recent`.
     numbers, fresh : (n,). Receive the number of each vertex, and the rows of the new ones.
 
-    Returns the used places of `recent` and the number of new vertices.
+    Returns the row behind the last that was numbered: `recent` may be half full; then counts of new vertices
+    and of used places.
     """
-    count, used = counts
-    found = 0
-    for row in range(len(words)):
-        key = _hash(words, row)
-        here = _place(recent, words, row, key)
-        if recent.number[here] != FREE:
-            numbers[row] = recent.number[here]
-            continue
-        there = _place(older, words, row, key)
-        number = older.number[there]
-        if number < 0:
-            there = _place(always, words, row, key)
-            number = always.number[there]
-        if number < 0:
-            if number == PENDING:
-                always.number[there] = count + found
+    begin, count, found, used = counts
+    room = len(tables[0].number) // 2
+    cell = 0
+    for row in range(begin, len(place)):
+        if used >= room:
+            return row, found, used
+        while row >= cells.start[cell + 1]:
+            cell += 1
+        point = cells.points[row] if len(cells.points) else -1
+        if point >= 0:
+            seen = _in_cell(cells, place, smooth, row, cells.start[cell])
+            if seen >= 0:
+                numbers[row] = numbers[seen]
+                continue
+            cells.before[row], cells.last[point] = cells.last[point], row
+        if point >= 0 and cells.inner[point]:
             number = count + found
+        else:
+            number, more = _known(tables, place, smooth, row, count + found)
+            used += more
+        if number == count + found:
             fresh[found] = row
             found += 1
-        _put(recent, here, words, row, number)
-        used += 1
         numbers[row] = number
-    return used, found
+    return len(place), found, used

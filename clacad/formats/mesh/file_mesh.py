@@ -19,6 +19,9 @@ from clacad.storage.errors import UnreadableFile
 CHUNK = 1 << 16
 """Facets handled at a time; 65,536 facets are 4.7 MB of float64 corners."""
 
+SHARED = 1 << 18
+"""Facets of shared vertices handled at a time."""
+
 MOST_EXPANDED = 100_000_000
 """Facets up to which a file that repeats its parts may be walked as if each of them were written out."""
 
@@ -326,6 +329,33 @@ class FileMesh:
                 least, most = _box_of((c if plain else c @ linear).reshape(-1, 3) for c in chunks)
                 low, high = np.minimum(low, least + first), np.maximum(high, most + last)
         return low, high
+
+
+def shared_chunks(part: Part) -> Iterator[tuple[Floats, Ints]]:
+    """Facets (k, 3) of all placements of a part, in runs, as rows of points (n, 3), file unit."""
+    size = CHUNK if part.soup is not None else SHARED
+    for place in part.placements:
+        for start in range(0, part.facet_count, size):
+            points, facets = _shared(part, start, min(start + size, part.facet_count))
+            yield _placed(points, place), facets
+
+
+def _shared(part: Part, start: int, stop: int) -> tuple[Floats, Ints]:
+    """Facets start … stop − 1 before placing, as rows of points that they share where these are near."""
+    if part.soup is not None:
+        return listed(part.corners(start, stop))
+    assert part.vertices is not None
+    assert part.triangles is not None
+    facets = np.asarray(part.triangles[start:stop], dtype=np.int64)
+    low, high = int(facets.min()), int(facets.max()) + 1
+    if high - low > 3 * facets.size:
+        return listed(np.asarray(part.vertices[facets], dtype=np.float64))
+    return np.asarray(part.vertices[low:high], dtype=np.float64), facets - low
+
+
+def listed(corners: Floats) -> tuple[Floats, Ints]:
+    """Corners (k, 3, 3) as points (3 k, 3), and the rows of each facet (k, 3) among them."""
+    return corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
 
 
 def _box_of(chunks: Iterable[Floats]) -> tuple[Floats, Floats]:

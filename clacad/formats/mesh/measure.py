@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clacad.base.types import Floats, Ints, Words
-from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, kinds_and_ends
+from clacad.base.types import Bools, Floats, Ints, Words
+from clacad.formats.mesh.file_mesh import CHUNK, FileMesh, Part, kinds_and_ends, listed, shared_chunks
 
 if TYPE_CHECKING:
     from clacad.formats.mesh.compiled_measure import VertexTable
@@ -46,10 +46,13 @@ class Measure:
         return self.facets > 0 and self.imbalance == (0, 0)
 
 
-def measure(chunks: Iterable[Floats], origin: Floats | None = None) -> Measure:
-    """Measure a mesh given as chunks of corners (k, 3, 3).
+Corners = tuple[Floats, Ints]
+"""Points (n, 3) and facets (k, 3), given by rows of these."""
 
-    chunks : iterable of (k, 3, 3) arrays
+
+def measure(chunks: Iterable[Floats | Corners], origin: Floats | None = None) -> Measure:
+    """Measure a mesh given as chunks of corners (k, 3, 3), or of points and facets.
+
     origin : (3,) array or None
         Point the volume's cones start from; a point near the mesh keeps digits. Default: its first corner.
 
@@ -60,21 +63,24 @@ def measure(chunks: Iterable[Floats], origin: Floats | None = None) -> Measure:
     """
     from clacad.formats.mesh.compiled_measure import AREA, VOLUME, add_facets
 
-    facets = 0
+    count = 0
     sums, totals = np.zeros(2, dtype=np.uint64), np.zeros(4)
     box = np.array([[np.inf] * 3, [-np.inf] * 3])
-    for corners in chunks:
-        if not len(corners):
+    for chunk in chunks:
+        points, facets = chunk if isinstance(chunk, tuple) else listed(chunk)
+        if not len(facets):
             continue
         if origin is None:
-            origin = corners[0, 0].copy()
-        facets += len(corners)
-        whole = np.ascontiguousarray(corners)
-        add_facets(whole, whole.view(np.uint64), np.asarray(origin, dtype=np.float64), sums, totals, box)
+            origin = points[facets[0, 0]].copy()
+        count += len(facets)
+        points, facets = np.ascontiguousarray(points), np.ascontiguousarray(facets, dtype=np.int64)
+        hashes = np.empty((len(points), 2), dtype=np.uint64)
+        middle = np.asarray(origin, dtype=np.float64)
+        add_facets(points, _words(points), facets, hashes, middle, sums, totals, box)
     if np.isnan(totals[VOLUME]):  # a corner that is no number has no position
         box[:] = np.nan
     volume, area = (float(totals[k] + totals[k + 1]) for k in (VOLUME, AREA))
-    return Measure(facets, (int(sums[0]), int(sums[1])), volume / 6.0, 0.5 * area, *map(_triple, box))
+    return Measure(count, (int(sums[0]), int(sums[1])), volume / 6.0, 0.5 * area, *map(_triple, box))
 
 
 def crowded_edges(times: Ints) -> int:
@@ -98,11 +104,12 @@ def edge_times(facets: Ints) -> Ints:
 
 def vertex_hashes(corners: Floats) -> Words:
     """One 64-bit number for each corner, (k, 3), from the bits of its coordinates; −0 is 0."""
-    from clacad.formats.mesh.compiled_measure import hash_corners
+    from clacad.formats.mesh.compiled_measure import hash_points
 
-    found = np.empty(corners.shape[:2], dtype=np.uint64)
-    hash_corners(np.ascontiguousarray(corners, dtype=np.float64).view(np.uint64), found)
-    return found
+    points = np.ascontiguousarray(corners, dtype=np.float64).reshape(-1, 3)
+    found = np.empty(len(points), dtype=np.uint64)
+    hash_points(_words(points), found)
+    return found.reshape(-1, 3)
 
 
 MOST_KINDS = 16
@@ -110,22 +117,22 @@ MOST_KINDS = 16
 
 
 def measure_mesh(
-    mesh: FileMesh, factor: float, passing: Callable[[Floats], Floats] = lambda corners: corners
+    mesh: FileMesh, factor: float, passing: Callable[[Floats, Ints], object] = lambda *_: None
 ) -> Measure:
     """Measure a file in design units; a repeated part is measured once per orientation.
 
     factor : Design units per file unit.
-    passing : Receives and returns the corners (k, 3, 3) of the unrepeated parts, file unit.
+    passing : Receives the facets of the unrepeated parts: points (n, 3), file unit, and rows of them (k, 3).
     """
     single = [part for part in mesh.parts if not part.repeated]
-    return joined(
-        [
-            measure(
-                (passing(chunk) * factor for part in single for chunk in part.chunks()), origin=np.zeros(3)
-            ),
-            measure_repeated(mesh, factor),
-        ]
-    )
+
+    def chunks() -> Iterator[Corners]:
+        for part in single:
+            for points, facets in shared_chunks(part):
+                passing(points, facets)
+                yield points if factor == 1.0 else points * factor, facets
+
+    return joined([measure(chunks(), origin=np.zeros(3)), measure_repeated(mesh, factor)])
 
 
 def measure_repeated(mesh: FileMesh, factor: float) -> Measure:
@@ -226,22 +233,44 @@ class Welder:
 
     def begin(self) -> None:
         """Begin a generation; the vertices of the last one are kept, those before it are not."""
-        self._older, self._recent, self._used = self._recent, _table(0, self._columns), 0
+        self._older, self._used = self._recent, 0
+        self._recent = _table(len(self._older.number), self._columns)
 
-    def numbers(self, rows: Floats) -> tuple[Ints, Ints]:
-        """Number (n,) of each vertex (n, c), and the rows (k,) of those that are new, in order."""
-        from clacad.formats.mesh.compiled_measure import move_vertices, number_vertices
+    def numbers(
+        self, rows: Floats, normals: Floats | None = None, places: CornerPlaces | None = None
+    ) -> tuple[Ints, Ints]:
+        """Number (n,) of each vertex (n, c), and the rows (k,) of those that are new, in order.
 
-        needed = int((self._used + len(rows)) / FULLEST) + 1
-        if needed > len(self._recent.number):
-            larger = _table(needed, self._columns)
+        normals : (n, 3) or None. Numbers of the vertices besides `rows`.
+        places : Where the corners lie in cells, whose inner vertices are kept in their cell only.
+        """
+        from clacad.formats.mesh.compiled_measure import CellCorners, move_vertices, number_vertices
+
+        smooth = np.empty((len(rows), 0)) if normals is None else normals
+        numbers, fresh = (np.empty(len(rows), dtype=np.int64) for _ in range(2))
+        start, points, inner = places or (np.array([0, len(rows)]), *_NOWHERE)
+        last, before = np.full(len(inner), -1, dtype=np.int64), np.empty(len(points), dtype=np.int64)
+        cells = CellCorners(start, points, inner, last, before)
+        row = found = 0
+        while True:
+            tables, counts = (self._recent, self._older, self._always), (row, self.count, found, self._used)
+            row, found, self._used = number_vertices(
+                _words(rows), _words(smooth), cells, tables, counts, numbers, fresh
+            )
+            if row == len(rows):
+                break
+            larger = _table(2 * len(self._recent.number), self._columns)
             move_vertices(self._recent, larger)
             self._recent = larger
-        numbers, fresh = (np.empty(len(rows), dtype=np.int64) for _ in range(2))
-        tables = self._recent, self._older, self._always
-        self._used, found = number_vertices(_words(rows), *tables, (self.count, self._used), numbers, fresh)
         self.count += found
         return numbers, fresh[:found]
+
+
+CornerPlaces = tuple[Ints, Ints, Bools]
+"""First corner of each cell of a block (cells + 1,); point of the footprint of each corner (n,), −1 where it
+is not known; whether a point lies inside the cell (p,)."""
+
+_NOWHERE = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)
 
 
 def _words(rows: Floats) -> Words:

@@ -23,8 +23,7 @@ from clacad.storage.reading import Overheard, Spending
 
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 HEADER = 80
-PIECE = 1 << 12
-"""Facets that are checked together: their temporaries stay in the second-level cache."""
+_BITS = np.dtype([("bits", "<i4", 12), ("attribute", "<i2")])
 
 
 class FacetStream(Protocol):
@@ -87,21 +86,18 @@ def header(name: str) -> bytes:
 
 def _write_rows(stream: IO[bytes], rows: Floats, scale: float) -> int:
     for start in range(0, len(rows), CHUNK):
-        stream.write(_records(rows[start : start + CHUNK], scale).data)
+        stream.write(_records(rows[start : start + CHUNK], scale).data.cast("B"))
     return len(rows)
 
 
-def _records(corners: Floats, scale: float) -> NDArray[np.uint8]:
-    """Bytes (k, 50) of facets (k, 3, 3) as written; −0 and 0 are one position and one bit pattern."""
+def _records(corners: Floats, scale: float) -> NDArray[np.void]:
+    """Records of FACET of facets (k, 3, 3) as written; −0 and 0 are one position and one bit pattern."""
     from clacad.formats.mesh.compiled_measure import facet_numbers
 
-    numbers = np.empty((len(corners), 4, 3), dtype="<f4")
-    with np.errstate(invalid="ignore"):  # a NaN from a flipped bit is reported below
-        whole = np.ascontiguousarray(corners, dtype=np.float64)
-    if not facet_numbers(whole, scale, numbers):
+    found = np.zeros(len(corners), dtype=FACET)
+    whole = np.ascontiguousarray(corners, dtype=np.float64)
+    if not facet_numbers(whole, scale, found["normal"], found["corners"]):
         raise FileDisagrees("the mesh holds a corner that is not a finite float32 number")
-    found = np.zeros((len(corners), FACET.itemsize), dtype=np.uint8)
-    found[:, :-2] = numbers.reshape(len(corners), -1).view(np.uint8)
     return found
 
 
@@ -178,6 +174,7 @@ class BinaryStl:
             )
         if self.checked:
             check_facets(records, f"{self.path.name}: a facet near number {start}")
+            return np.asarray(records["corners"][::step])
         corners = np.asarray(records["corners"][::step])
         with np.errstate(invalid="ignore"):
             total = corners.sum(dtype=np.float64)  # such a sum of float32 is infinite only if one of them is
@@ -236,11 +233,8 @@ def check_facets(records: NDArray[np.void], which: str) -> None:
 
     Raises FileDisagrees: The facets disagree; `which` begins the message.
     """
-    for start in range(0, len(records), PIECE):
-        piece = records[start : start + PIECE]
-        try:
-            told = _records(piece["corners"], 1.0)
-        except FileDisagrees:  # a flipped bit made a NaN
-            told = np.zeros((0, FACET.itemsize), dtype=np.uint8)
-        if piece.tobytes() != told.tobytes():
-            raise FileDisagrees(f"{which} disagrees with its own normal")
+    from clacad.formats.mesh.compiled_measure import as_written
+
+    bits = records.view(_BITS)
+    if not as_written(records["normal"], records["corners"], bits["bits"], bits["attribute"]):
+        raise FileDisagrees(f"{which} disagrees with its own normal")

@@ -12,6 +12,7 @@ import zipfile
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from html import escape
 from io import BytesIO
 from itertools import groupby
@@ -44,6 +45,12 @@ MANY = 65_536
 
 LARGE, QUICK = 8_000_000, 4
 """Facets above which a file is packed at a lower level: 4 % longer, in a third of the time."""
+
+MANY_BYTES = 4_000_000
+"""Text of a model from which its elements are read by a compiled kernel."""
+
+MOST_NUMBER = 2**31 - 1
+"""Greatest number of a vertex that is read."""
 
 NAMESPACE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 MODEL = "3D/3dmodel.model"
@@ -82,7 +89,7 @@ def write_threemf(pieces: Sequence[Piece], path: Path, scale: float, name: str) 
         if sum(piece.facets for piece in pieces) > LARGE:
             model._compresslevel = QUICK  # type: ignore[attr-defined]
         with archive.open(model, "w", force_zip64=True) as stream:
-            for block in _blocks(_model(pieces, scale, name, path.parent)):
+            for block in joined_lines(_model(pieces, scale, name, path.parent)):
                 stream.write(block)
 
 
@@ -94,20 +101,21 @@ def _entry(name: str) -> zipfile.ZipInfo:
     return entry
 
 
-def _blocks(lines: Iterator[str]) -> Iterator[bytes]:
-    kept: list[str] = []
+def joined_lines(lines: Iterator[str | bytes]) -> Iterator[bytes]:
+    """The same text in blocks of a few hundred kilobytes."""
+    kept: list[bytes] = []
     size = 0
     for line in lines:
-        kept.append(line)
-        size += len(line)
+        kept.append(line if isinstance(line, bytes) else line.encode())
+        size += len(kept[-1])
         if size > BLOCK:
-            yield "".join(kept).encode()
+            yield b"".join(kept)
             kept.clear()
             size = 0
-    yield "".join(kept).encode()
+    yield b"".join(kept)
 
 
-def _model(pieces: Sequence[Piece], scale: float, name: str, folder: Path) -> Iterator[str]:
+def _model(pieces: Sequence[Piece], scale: float, name: str, folder: Path) -> Iterator[str | bytes]:
     """Lines of the model part: materials, meshes, components and build items."""
     yield '<?xml version="1.0" encoding="UTF-8"?>\n'
     yield f'<model unit="millimeter" xml:lang="en-US" xmlns="{NAMESPACE}">\n'
@@ -138,61 +146,98 @@ def _model(pieces: Sequence[Piece], scale: float, name: str, folder: Path) -> It
     yield "</build>\n</model>\n"
 
 
-def mesh_lines(piece: Piece, number: int, scale: float, folder: Path | None = None) -> Iterator[str]:
+VERTEX = b'<vertex x="', b'" y="', b'" z="', b'"/>\n'
+TRIANGLE = b'<triangle v1="', b'" v2="', b'" v3="', b'"/>\n'
+Marks = tuple[bytes, bytes, bytes, bytes]
+"""Text before, between and after the numbers of a line."""
+
+
+def mesh_lines(piece: Piece, number: int, scale: float, folder: Path | None = None) -> Iterator[str | bytes]:
     """Lines of one mesh object, many in one text; triangles wait in a file of `folder`, else in memory."""
     label = piece.name if piece.places is None else piece.name + " cell"
     yield f'<object id="{number}" type="model" name="{escape(label)}">\n<mesh>\n<vertices>\n'
-    count = 0
     with BytesIO() if folder is None else TemporaryFile(dir=folder) as held:
 
         def vertices() -> Iterator[Floats]:
-            nonlocal count
             for block in piece.blocks():
                 scaled = np.asarray(block.vertices, dtype=np.float64) * scale + 0.0
                 if not np.isfinite(scaled).all():
                     raise FileDisagrees(f"{piece.name}: a vertex is not a finite number")
                 held.write(np.ascontiguousarray(block.triangles, dtype=np.int64).tobytes())
-                count += len(scaled)
                 yield scaled
 
-        yield from _lines(vertices(), ('<vertex x="', '" y="', '" z="', '"/>\n'))
+        yield from _lines(vertices(), VERTEX)
         yield "</vertices>\n<triangles>\n"
         held.seek(0)
         rows = (
             np.frombuffer(data, dtype=np.int64).reshape(-1, 3)
             for data in iter(lambda: held.read(MANY * 24), b"")
         )
-        yield from _lines(rows, ('<triangle v1="', '" v2="', '" v3="', '"/>\n'), lambda: _counting(count))
+        yield from _lines(rows, TRIANGLE)
     yield "</triangles>\n</mesh>\n</object>\n"
 
 
-def _lines(
-    rows: Iterable[NDArray[Any]],
-    between: tuple[str, str, str, str],
-    words_of: Callable[[], tuple[Bytes, Ints]] | None = None,
-) -> Iterator[str]:
-    """Rows of three numbers as lines, many in one text; `words_of`: the texts of all of the numbers."""
-    marks, ends = _words(list(between))
-    known: tuple[Bytes, Ints] | None = None
+def _lines(rows: Iterable[NDArray[Any]], between: Marks) -> Iterator[str | bytes]:
+    """Rows of three numbers as lines, many in one text."""
+    marks, ends = _marks(between)
+    known: _Texts | None = None
     for some in _by_many(rows):
         if len(some) < MANY:
-            a, b, c, d = between
+            a, b, c, d = (mark.decode() for mark in between)
             for first in range(0, len(some), TOGETHER):
                 columns = some[first : first + TOGETHER].T.tolist()  # because a list for each row is slow
                 yield "".join([f"{a}{x!r}{b}{y!r}{c}{z!r}{d}" for x, y, z in zip(*columns, strict=True)])
             continue
-        from clacad.formats.mesh.compiled_measure import join_words
+        from clacad.formats.mesh.compiled_measure import join_whole, join_words
 
-        if words_of is None:
-            values, number = np.unique(some, return_inverse=True)
-            letters, starts = _words(list(map(repr, values.tolist())))
-            some = number.reshape(-1, 3)
-        else:
-            known = words_of() if known is None else known
-            letters, starts = known
-        out = np.empty(len(some) * len(marks) + int(np.diff(starts)[some].sum()), dtype=np.uint8)
-        join_words(some, letters, starts, marks, ends, out)
-        yield out.tobytes().decode("ascii")
+        if some.dtype.kind == "i":
+            out = np.empty(len(some) * (len(marks) + 3 * len(str(some.max()))), dtype=np.uint8)
+            yield out[: join_whole(some, marks, ends, out)].tobytes()
+            continue
+        known = _Texts() if known is None or len(known.starts) > MOST_TEXTS else known
+        words = known.of(some)
+        letters, starts = (
+            np.frombuffer(known.letters, dtype=np.uint8),
+            np.frombuffer(known.starts, dtype=np.int64),
+        )
+        out = np.empty(
+            len(some) * len(marks) + int((starts[words + 1] - starts[words]).sum()), dtype=np.uint8
+        )
+        join_words(words, letters, starts, marks, ends, out)
+        del letters, starts  # so that these may grow
+        yield out.tobytes()
+
+
+MOST_TEXTS = 1 << 19
+"""Number of texts that are kept; from there on they are begun again."""
+
+
+class _Texts:
+    """Shortest texts of numbers, each made once.
+
+    letters, starts : All texts, one after another; text k is letters[starts[k] : starts[k + 1]].
+    """
+
+    def __init__(self) -> None:
+        from clacad.formats.mesh.measure import Welder
+
+        self.letters, self.starts = bytearray(), array("q", [0])
+        self._known = Welder(np.empty((0, 1)))
+
+    def of(self, values: Floats) -> Ints:
+        """Number of the text of each value."""
+        number, fresh = self._known.numbers(values.reshape(-1, 1))
+        texts = list(map(repr, values.ravel()[fresh].tolist()))
+        ends = np.cumsum(list(map(len, texts)), dtype=np.int64) + len(self.letters)
+        self.letters += "".join(texts).encode("ascii")
+        self.starts.frombytes(ends.tobytes())
+        return number.reshape(values.shape)
+
+
+def _marks(between: Marks) -> tuple[Bytes, Ints]:
+    """The letters of all marks, and where each begins and ends."""
+    ends = np.cumsum([0, *map(len, between)], dtype=np.int64)
+    return np.frombuffer(b"".join(between), dtype=np.uint8), ends
 
 
 def _by_many(rows: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
@@ -209,25 +254,6 @@ def _by_many(rows: Iterable[NDArray[Any]]) -> Iterator[NDArray[Any]]:
             waiting, count = [together[last:]], count - last
     if count:
         yield np.concatenate(waiting)
-
-
-def _counting(count: int) -> tuple[Bytes, Ints]:
-    """As `_words`, of the decimal numbers 0, 1, 2, ... below a count."""
-    digits = range(1, len(str(count - 1)) + 1)
-    first = [0, *(10**n for n in digits)]  # 0 has one digit too
-    letters = [np.empty(0, dtype=np.uint8)]
-    for n, low in zip(digits, first, strict=False):
-        numbers = np.arange(low, min(count, 10**n), dtype=np.uint32)
-        columns = [numbers // 10**k % 10 + ord("0") for k in reversed(range(n))]
-        letters.append(np.stack(columns, axis=1, dtype=np.uint8, casting="unsafe").ravel())
-    lengths = np.repeat(digits, [min(count, 10**n) - low for n, low in zip(digits, first, strict=False)])
-    return np.concatenate(letters), np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)])
-
-
-def _words(texts: list[str]) -> tuple[Bytes, Ints]:
-    """Letters of all words, one after another, and where each begins and ends."""
-    starts = np.cumsum([0, *map(len, texts)], dtype=np.int64)
-    return np.frombuffer("".join(texts).encode("ascii"), dtype=np.uint8), starts
 
 
 def _flat(name: str, places: Places, mesh: int, number: int, scale: float) -> Iterator[str]:
@@ -264,7 +290,7 @@ def component_text(number: int, x: float, y: float) -> str:
 class _Object:
     name: str
     vertices: array[float] = field(default_factory=lambda: array("d"))
-    triangles: array[int] = field(default_factory=lambda: array("q"))
+    triangles: array[int] = field(default_factory=lambda: array("i"))
     components: list[tuple[str, Floats]] = field(default_factory=list)
 
 
@@ -364,16 +390,21 @@ def _runs(model: _Model) -> dict[str, ElementRun]:
 
     def vertices(text: bytes) -> None:
         numbers = text.replace(b"vertex", b"").translate(_BETWEEN)
-        found = np.fromstring(numbers, sep=" ")
-        model.spent.count(len(found) // 3)
+        put_vertices(np.fromstring(numbers, sep=" "))
+
+    def put_vertices(found: Floats) -> None:
+        model.spent.count(found.size // 3)
         _current(model).vertices.frombytes(found.tobytes())
 
     def triangles(text: bytes) -> None:
         numbers = np.fromstring(text.translate(_BETWEEN_WHOLE), dtype=np.int64, sep=" ")
-        model.spent.count(len(numbers) // 6)
-        _current(model).triangles.frombytes(
-            numbers.reshape(-1, 6)[:, 1::2].tobytes()
-        )  # v1 and its number, v2 …
+        put_triangles(numbers.reshape(-1, 6)[:, 1::2])  # v1 and its number, v2 …
+
+    def put_triangles(found: NDArray[Any]) -> None:
+        model.spent.count(len(found))
+        if found.max(initial=0) > MOST_NUMBER:
+            raise model.fail("a triangle that uses a vertex it does not have")
+        _current(model).triangles.frombytes(found.astype(np.int32).tobytes())
 
     def components(text: bytes) -> None:
         words = text.split(b'"')
@@ -384,11 +415,27 @@ def _runs(model: _Model) -> dict[str, ElementRun]:
         numbers = [word.decode() for word in words[1::4]]
         _current(model).components.extend(zip(numbers, places, strict=True))
 
+    def quick(marks: Marks, whole: bool, take: Callable[[Floats], None]) -> Callable[[bytes], int]:
+        many = model.spent.size > MANY_BYTES
+        return partial(_read_lines, marks, whole, take) if many else lambda _: 0
+
     return {
-        "vertices": ElementRun(_VERTEX, vertices),
-        "triangles": ElementRun(_TRIANGLE, triangles),
+        "vertices": ElementRun(_VERTEX, vertices, quick(VERTEX, False, put_vertices)),
+        "triangles": ElementRun(_TRIANGLE, triangles, quick(TRIANGLE, True, put_triangles)),
         "components": ElementRun(_COMPONENT, components),
     }
+
+
+def _read_lines(between: Marks, whole: bool, take: Callable[[Floats], None], text: bytes) -> int:
+    """Read the lines at the beginning of a text that have the form in which they are written; their bytes."""
+    from clacad.formats.mesh.compiled_measure import read_lines
+
+    marks, ends = _marks(between)
+    found = np.empty((len(text) // (len(marks) + 3) + 1, 3))
+    lines, behind = read_lines(np.frombuffer(text, dtype=np.uint8), marks, ends, whole, found)
+    if lines:
+        take(found[:lines])
+    return int(behind)
 
 
 def _on_model(model: _Model, attributes: Attributes) -> None:
@@ -529,7 +576,7 @@ def _composed(inner: Floats, outer: Floats) -> Floats:
 def _part(model: _Model, number: str, places: Placements) -> Part:
     found = model.objects[number]
     vertices = np.frombuffer(found.vertices, dtype=np.float64).reshape(-1, 3)
-    triangles = np.frombuffer(found.triangles, dtype=np.int64).reshape(-1, 3)
+    triangles = np.frombuffer(found.triangles, dtype=np.int32).reshape(-1, 3)
     if not np.isfinite(vertices).all():
         raise model.fail(f"object {number} has a vertex that is not a number")
     if triangles.min() < 0 or triangles.max() >= len(vertices):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clacad.base.compiled import entry, exact
+from clacad.base.compiled import entry, exact, multiply_add
 from clacad.base.types import Bytes, Floats, Ints, Words
 
 POINT, RARE = 0, -1
@@ -20,6 +20,9 @@ FORWARD, BACKWARD = 1, 2
 TENS = np.array([10.0**k for k in range(23)])
 MOST = np.uint64(1 << 53)
 """Exact powers of ten, and the integer up to which all are exact: a quotient of both is rounded once."""
+
+NARROW = 2.0**-40
+"""Relative error of the second part of a quotient, much more than that of its arithmetic."""
 
 HASH_SEED, HASH_FACTOR = np.uint64(0xCBF29CE484222325), np.uint64(0x100000001B3)
 """Of the hash of a name (Fowler, Noll and Vo, 64 bits)."""
@@ -92,7 +95,7 @@ def head(text: Bytes, at: int, end: int, table: Words) -> tuple[int, int, int]:
 
 @exact
 def one_number(text: Bytes, at: int, end: int, values: Floats, row: int) -> int:
-    """Read a number into values[row]; index behind it, −1 where its value needs more than one rounding."""
+    """Read a number into values[row], rounded once; index behind it, −1 where that is not certain."""
     negative = text[at] == MINUS
     if negative or text[at] == PLUS:
         at += 1
@@ -100,7 +103,7 @@ def one_number(text: Bytes, at: int, end: int, values: Floats, row: int) -> int:
     digits, whole, power = 0, np.uint64(0), 0
     while at < end and ZERO <= text[at] <= NINE:
         whole = np.uint64(10) * whole + np.uint64(text[at] - ZERO)
-        digits += 1
+        digits += int(whole > 0)
         at += 1
     if at == first:
         return -1
@@ -108,7 +111,7 @@ def one_number(text: Bytes, at: int, end: int, values: Floats, row: int) -> int:
         at += 1
         while at < end and ZERO <= text[at] <= NINE:
             whole = np.uint64(10) * whole + np.uint64(text[at] - ZERO)
-            digits += 1
+            digits += int(whole > 0)
             power -= 1
             at += 1
     if at < end and (text[at] == LETTER_E or text[at] == SMALL_E):
@@ -124,10 +127,20 @@ def one_number(text: Bytes, at: int, end: int, values: Floats, row: int) -> int:
         if at == begun:
             return -1
         power += sign * given
-    if digits > 18 or whole > MOST or power > 22 or power < -22:
+    if digits > 18 or power > 22 or power < -22:
         return -1
     value = np.float64(whole)
-    value = value * TENS[power] if power >= 0 else value / TENS[-power]
+    if whole <= MOST or power == 0:
+        value = value * TENS[power] if power >= 0 else value / TENS[-power]
+    elif power > 0:
+        return -1
+    else:  # the quotient in two parts; the smaller one must not decide how the sum of both is rounded
+        ten = TENS[-power]
+        high = value / ten
+        low = (multiply_add(-high, ten, value) + np.float64(np.int64(whole) - np.int64(value))) / ten
+        value = high + low * (1.0 - NARROW)
+        if value != high + low * (1.0 + NARROW):
+            return -1
     values[row] = -value if negative else value
     return at
 

@@ -295,9 +295,9 @@ def own_soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
     corners, shaded, each = [], [], []
     for body in mesh.bodies:
         made = list(shaded_portions(body, smooth))
-        corners += [rows for _, rows, _ in made]
-        shaded += [rows for *_, rows in made if rows is not None]
-        each.append(sum(len(rows) for _, rows, _ in made))
+        corners += [one.corners for one in made]
+        shaded += [one.normals for one in made if one.normals is not None]
+        each.append(sum(len(one.corners) for one in made))
     owner = np.repeat(np.arange(len(each)), each)
     return TriangleSoup(np.concatenate(corners), np.concatenate(shaded) if smooth else None, owner)
 
