@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil, inf, isfinite, log10
 from time import process_time
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
-from clacad.advice.judged import Judged, judge, tight
+from clacad.advice.judged import POINT_RAYS, RAYS, Judged, judge, tight
 from clacad.base.text import plain
 from clacad.base.types import Progress, silent
 from clacad.checks.check import Check, accepted, kinds, wrong
@@ -22,6 +22,10 @@ from clacad.checks.levers import FORMS, WORDS, Lever
 from clacad.checks.light_kinds import LAW_BIAS, LAW_RMS, VIEWED
 from clacad.design import Design, DesignError
 from clacad.design.sections import BODY, LATTICE, PAIR
+from clacad.prescription.prescribe import prescribe
+from clacad.verification.light.law_checks import law_checks, light_through
+
+T = TypeVar("T")
 
 Changes = Mapping[str, Any]
 """Values by dotted key, as `Design.replace` takes them."""
@@ -281,7 +285,7 @@ class Trials:
     seconds: float = inf
     cell: Design | None = None
     made: dict[str, Judged | None] = field(default_factory=dict)
-    of_cell: dict[str, Judged | None] = field(default_factory=dict)
+    of_cell: dict[str, tuple[Check, ...] | None] = field(default_factory=dict)
     _begun: float = field(default_factory=process_time)
 
     def judged(self, changes: Changes) -> Judged | None:
@@ -289,9 +293,11 @@ class Trials:
 
         Raises NoMoreTrials.
         """
-        return self._judged(self.made, self.design, changes)
+        return self._kept(self.made, self.design, changes, lambda one: judge(one, judged_only=True))
 
-    def _judged(self, known: dict[str, Judged | None], design: Design, changes: Changes) -> Judged | None:
+    def _kept(
+        self, known: dict[str, T | None], design: Design, changes: Changes, make: Callable[[Design], T]
+    ) -> T | None:
         name = _name(changes)
         if name not in known:
             if name not in self.of_cell:  # else it is the same trial
@@ -299,7 +305,7 @@ class Trials:
                     raise NoMoreTrials
                 self.progress(STAGE, self.tried / self.most)
             try:
-                known[name] = judge(design.replace(changes) if changes else design, judged_only=True)
+                known[name] = make(design.replace(changes) if changes else design)
             except DesignError:
                 known[name] = None
         return known[name]
@@ -309,8 +315,8 @@ class Trials:
         law = [check.kind for check in checks if check.kind in (LAW_RMS, LAW_BIAS)]
         if self.cell is None or not law or not set(changes) <= OF_CELL or self.knows(changes):
             return False
-        judged = self._judged(self.of_cell, self.cell, changes)
-        found = [] if judged is None else [kind.first(judged.light) for kind in law]
+        judged = self._kept(self.of_cell, self.cell, changes, _law_of)
+        found = [kind.first(judged or ()) for kind in law]
         return any(
             isinstance(one.value, float) and isinstance(one.limit, float) and one.value > CLEARLY * one.limit
             for one in found
@@ -368,6 +374,11 @@ class Trials:
 
     def _bad(self, changes: Changes) -> float:
         return badness(self.judged(changes), self.design)
+
+
+def _law_of(design: Design) -> tuple[Check, ...]:
+    """Checks of the law by light through a uniform sheet."""
+    return tuple(law_checks(light_through(design, prescribe(design), RAYS, POINT_RAYS)))
 
 
 def _name(changes: Changes) -> str:

@@ -309,7 +309,7 @@ def test_one_cell_of_a_non_uniform_sheet_forecasts_what_a_changed_sheet_fails(ch
     assert trials._fails_in_cell(changes, failing)
     assert not trials.made
     assert trials.tried == 1
-    of_cell = LAW_RMS.first(next(iter(trials.of_cell.values())).light)
+    of_cell = LAW_RMS.first(next(iter(trials.of_cell.values())))
     changed = design.replace(changes)
     whole = LAW_RMS.first(judge_light(changed, prescribe(changed), 8192, 1024)[0])
     assert whole.state == "fail"

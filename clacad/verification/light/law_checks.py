@@ -57,13 +57,20 @@ def judge_light(
 
     judged_only : Whether numbers of other light are measured only where the design limits them: for trials.
     """
+    lit = light_through(design, window, rays, point_rays, judged_only=judged_only)
+    of_cell = [_named(lit.cell, check) for judge in found_by("light") for check in judge(lit)]
+    return [*of_cell, *(check for judge in found_by("sheet") for check in judge(lit))], lit.optics
+
+
+def light_through(
+    design: Design, window: Window, rays: int, point_rays: int, *, judged_only: bool = False
+) -> Lit:
+    """Light through the cell by which a window is judged, measured; parameters as in `judge_light`."""
     seen, *others = tried_cells(window, design.check.field)
     optics = optics_of(design, seen.like, seen.send, rays, point_rays)
     if others:
         optics = fitted_over_all(optics, [seen, *others], design.check.field)
-    lit = Lit(design, window, seen.like, optics, seen, judged_only)
-    of_cell = [_named(seen, check) for judge in found_by("light") for check in judge(lit)]
-    return [*of_cell, *(check for judge in found_by("sheet") for check in judge(lit))], optics
+    return Lit(design, window, seen.like, optics, seen, judged_only)
 
 
 def _named(seen: SeenCell, check: Check) -> Check:
