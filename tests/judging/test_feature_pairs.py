@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from oracle import trace as oracle
-from sheet.test_cells_of_own_eta import FORMS, GIVEN_EVEN, across, slightly, spread, turned
+from sheet.test_cells_of_own_eta import FORMS, GIVEN_EVEN, across, leaning, slightly, spread, turned
 from sheet.test_cells_of_own_eta import PRESENT as PRESENT_WITH_ETA
 from sheet.test_cells_of_own_eta import design as tabled
 from sheet.test_varying_sheets import ITS_OWN, PRESENT, SHEET, design
@@ -72,12 +72,18 @@ OF_TWO_AXES = {
     "turned plano": {**FORMS["plano"], "pair__surface": None, "turn": turned, "lattice__count": [3, 2]},
     "turned biconvex": {**FORMS["biconvex"], "turn": slightly, "lattice__count": [3, 2]},
     "turned ellipsoids": {"turn": turned, "pair__surface": None, "lattice__kind": "hexagonal", "lattice__count": [2, 2]},
+    "leaning": {"turn": leaning, "lattice__count": [2, 2]},
+    "leaning biconvex": {**FORMS["biconvex"], "turn": leaning, "lattice__count": [2, 2]},
+    "leaning behind planes": {**FORMS["plano"], "pair__surface": None, "turn": leaning, "lattice__count": [2, 2]},
+    "field lens, leaning": {"pair__field_lens": True, "pair__field": {"gap": 0.8}, "pair__surface": None, "turn": leaning, "lattice__count": [2, 2]},
+    "field lens, tilted biconvex": {"pair__field_lens": True, **FORMS["biconvex"], "law__euler": [20, 3, 10], "law__eta": [-1.0, -1.1], "lattice__count": [2, 2]},
 }  # fmt: skip
 
 
 def of_two_axes(form, folder):
     """The design of a form with an η along each lens axis of a cell."""
-    return tabled(folder, UNLIKE if "turn" in OF_TWO_AXES[form] else AXES, **{**SMALL, **OF_TWO_AXES[form]})
+    eta = UNLIKE if "turn" in OF_TWO_AXES[form] and "leaning" not in form else AXES
+    return tabled(folder, eta, **{**SMALL, **OF_TWO_AXES[form]})
 
 
 def one_lens_turned(window, array):

@@ -295,6 +295,9 @@ def test_two_eta_cut_across_go_with_offsets_that_grow_over_the_sheet(tmp_path, f
     start = np.column_stack([window.lattice.centres(cells) + [0.02, 0.01], np.zeros(len(cells))]) - ray
     exact = np.array([window.law_at(cell).refract(one) for cell, one in zip(cells, ray, strict=True)])
     assert np.ptp(exact, axis=0)[:2].min() > 1e-4
+    if gradient is None:  # lenses 2 lie in their cells as the middle one does
+        lens = next(face for face in window.faces if face.array == 1)
+        assert np.ptp(window.vertices(lens, cells)[:, :2], axis=0).max() < 1e-12
     for rung, off in (("thin", 1e-14), ("surfaces", 2e-6)):
         seen = clacad.trace(window, clacad.Rays(start, ray), rung=rung)
         assert (seen.fate == Fate.ALIVE).all()
@@ -722,15 +725,11 @@ def one_by_one(window, cell, start, ray):
     return d
 
 
-def test_plates_under_the_whole_sheet_leave_a_pair_that_leans_the_least_power_by_the_glass_of_its_lens_2(
-    tmp_path,
-):
+def test_planes_leave_a_pair_that_leans_the_least_power_by_the_glass_of_its_lens_2(tmp_path):
     """The power of the traced pair, at the glass it has, is least: a little more or less leaves more."""
-    window = clacad.prescribe(
-        design(
-            tmp_path, None, still, leaning, **FORMS["plano"], pair__offset="paraxial", lattice__count=[3, 3]
-        )
-    )
+    steep = lambda i, j: (17.0 * i - 23.0 * j, 2.0 + 0.4 * i - 0.3 * j, 11.0 * j)  # noqa: E731
+    keys = {**FORMS["plano"], "pair__offset": "paraxial", "lattice__count": [3, 3], "law__euler": [0, 2, 0]}
+    window = clacad.prescribe(design(tmp_path, None, still, steep, **keys))
     for cell in window.lattice.cells()[1::2]:
         like = like_cell(window, cell)
         turn = like.law.rotation
@@ -741,7 +740,6 @@ def test_plates_under_the_whole_sheet_leave_a_pair_that_leans_the_least_power_by
             seq[-1] = replace(seq[-1], vertex=seq[-1].vertex + more * axis)
             left.append(np.sqrt((parabasal(seq, turn, np.zeros(3), 1e-3).cosines ** 2).sum()))
         assert left[1] < min(left[0], left[2])
-        assert left[1] < 3e-4
 
 
 def test_a_field_lens_behind_planes_that_lean_cell_by_cell_is_refused(tmp_path):
