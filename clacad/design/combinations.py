@@ -194,20 +194,10 @@ BUILT: Final = "built"
 ITSELF: Final = "itself"
 
 
-def built_sheets(a: Ask) -> list[str]:
-    """Kinds of non-uniform sheet that a design requests."""
-    return [name for name, asked in SHEETS.items() if asked(a)]
-
-
-def why_not(sheet: str, feature: str) -> str:
-    """Return the reason why a sheet is not built with a feature, "" if it is built."""
-    return REASONS.get((sheet, feature), "")
-
-
 def matrix() -> list[list[str]]:
     """Rows of the combination table: a head, then one row for each feature."""
     rows = (
-        [f.name, *(ITSELF if f.key == sheet else why_not(sheet, f.name) or BUILT for sheet in SHEETS)]
+        [f.name, *(ITSELF if f.key == sheet else REASONS.get((sheet, f.name), BUILT) for sheet in SHEETS)]
         for f in FEATURES
     )
     return [["", *SHEETS], *rows]

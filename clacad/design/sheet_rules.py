@@ -11,7 +11,7 @@ from typing import Any, Final
 from clacad.base.text import rounded_up
 from clacad.config.mistakes import Mistake
 from clacad.config.value_kinds import LARGEST_COUNT, shown
-from clacad.design.combinations import FEATURES, built_sheets, why_not
+from clacad.design.combinations import FEATURES, REASONS, SHEETS
 from clacad.design.face_list_rules import MEDIA_RULES
 from clacad.design.rules import PAIR_RULES, Asked, Rule
 from clacad.design.sections import BODY, LATTICE, LAW, PAIR
@@ -418,9 +418,9 @@ def focus_has_planes(a: Asked) -> Iterator[Mistake]:
 def sheet_is_built(a: Asked) -> Iterator[Mistake]:
     """Refuse features that cannot be combined with the requested non-uniform sheet."""
     named = set()
-    for sheet in built_sheets(a):
+    for sheet in (name for name, asked in SHEETS.items() if asked(a)):
         for feature in FEATURES:
-            reason, keys = why_not(sheet, feature.name), frozenset((sheet, feature.key))
+            reason, keys = REASONS.get((sheet, feature.name)), frozenset((sheet, feature.key))
             if reason and keys not in named and feature.present(a):
                 named.add(keys)
                 yield Mistake(

@@ -371,11 +371,3 @@ class FieldCells:
     added: Floats
     drift: float = 0.0
     focal: Pair2 | None = None
-
-    @property
-    def spread_focal(self) -> Pair2 | None:
-        """As `focal`, where the cell of lens 2 is displaced with it, and so the slope of its light."""
-        if self.focal is None:
-            return None
-        x, y = (one / (1.0 - self.drift) for one in self.focal)
-        return x, y

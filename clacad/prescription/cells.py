@@ -337,13 +337,13 @@ def _placed(window: Window, intent: Intent, field: FieldCells | None) -> Window:
 
 
 def _spread_focal(window: Window, intent: Intent, field: FieldCells) -> Pair2 | None:
-    """As `FieldCells.spread_focal`, where field faces have power of their own along both axes, too."""
-    if intent.etas_along_axes is None:
-        return field.spread_focal
-    cells, etas = window.lattice.cells()[:1], intent.etas_along_axes[[0, 0]]
-    _, over, toric_field = _with_toric(window, intent.design, cells, etas, thick_lenses(intent.design))
-    focal = np.array(window.recipe["f"][0] if field.focal is None else field.focal)
-    return xy((focal * over / (1.0 - field.drift - toric_field.pull))[0])
+    """As `FieldCells.focal`, where the cell of lens 2 is displaced with it, and so the slope of its light."""
+    focal, pull = field.focal, np.zeros(2)
+    if intent.etas_along_axes is not None:
+        cells, etas = window.lattice.cells()[:1], intent.etas_along_axes[[0, 0]]
+        _, over, own = _with_toric(window, intent.design, cells, etas, thick_lenses(intent.design))
+        pull, focal = own.pull[0], xy(over[0] * (window.recipe["f"][0] if focal is None else focal))
+    return None if focal is None else xy(np.array(focal) / (1.0 - field.drift - pull))
 
 
 def _refuse_many(count: tuple[int, int], aims: bool) -> None:

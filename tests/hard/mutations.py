@@ -138,7 +138,7 @@ MUTATIONS = [
     Mutation("leaning: lens 2 over the law's axis", SIZES, "lean += frames @ (place @ turn) - place", "pass", f"{OWN_ETA} -k leans_by_its_own"),
     Mutation("leaning: field faces across the law's axis", SIZES, "share * (new - old) + height * tilt", "share * (new - old)", f"{OWN_ETA} -k leans_by_its_own"),
     Mutation("leaning: plane faces without astigmatism", "clacad/prescription/bodies.py", "(level**2 / air**3 - 1.0 / air)", "(0.0 * air)", f"{OWN_ETA} -k least_power"),
-    Mutation("two eta: arrays spread as for one", SIZES, "_spread_focal(window, intent, field)", "field.spread_focal", f"{OWN_ETA} -k grow_over"),
+    Mutation("two eta: arrays spread as for one", SIZES, "own.pull[0], xy(over[0]", "0.0, xy(over[0]", f"{OWN_ETA} -k grow_over"),
     Mutation("sizes: neighbours in one direction", SIZES, "lattice.steps[: len(lattice.steps) // 2]", "lattice.steps[:0]", OWN_ETA),
     Mutation("sizes: the law of the sheet in every cell", "clacad/sheet/cell_places.py", "index), d, own, self", "index), d, None, self", OWN_ETA),
     Mutation("sizes: one light for every cell", "clacad/prescription/cells.py", "np.minimum(1.0, 1.0 / np.abs(ratio).max(axis=1))", "np.ones(len(ratio))", f"{OWN_ETA} -k mean_of_the_light"),
