@@ -29,7 +29,7 @@ SOURCES = (
     "tracing/reference/*.py",
     "tracing/facets/*.py",
     "tracing/layout.py",
-    "tracing/ledger.py",
+    "optics/ledger.py",
     "light/sums.py",
     "**/*compiled*.py",
     "**/compiled/*.py",

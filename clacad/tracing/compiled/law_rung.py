@@ -19,6 +19,7 @@ from clacad.base.types import Floats, Rows
 from clacad.light.compiled_sums import DELTA_X, DELTA_Y, ETA_X, ETA_Y, R0
 from clacad.light.sums import LARGE, ordinary
 from clacad.optics.law import law_numbers
+from clacad.optics.ledger import Ledger
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.array_cells import (
@@ -64,7 +65,6 @@ from clacad.tracing.compiled.packing import OwnCells, Packed, own_laws, pack_arr
 from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.compiled.threads import in_arrays, over_threads
 from clacad.tracing.layout import Layout
-from clacad.tracing.ledger import Ledger
 
 Rows3 = tuple[int, int, int]
 BEFORE, BEHIND = (DX, DY, DZ), (LEFT_X, LEFT_Y, ROOT)

@@ -22,6 +22,7 @@ from zlib import crc32
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
+from clacad.optics.ledger import Ledger
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.sequence import Interface, unit_directions
 from clacad.optics.surface import Surface, resized
@@ -30,7 +31,6 @@ from clacad.sheet.feasibility import thicker
 from clacad.sheet.plate import Plate
 from clacad.sheet.shrunk import grown_surface
 from clacad.sheet.window import Body, Face, Window, in_optical_tile
-from clacad.tracing.ledger import Ledger
 
 if TYPE_CHECKING:
     from clacad.design import Design
