@@ -506,7 +506,7 @@ def _meet_in_frames(
     index: float,
     offset: Vector,
 ) -> None:
-    """Positions plus the offset are relative to the face's vertex, afterwards without it; normals are kept."""
+    """Carry to positions relative to the face's vertex, which the offset is not part of; normals are kept."""
     if frames is None:
         return
     faces, (ox, oy, oz) = sheet.faces, offset
