@@ -24,6 +24,7 @@ from clacad.optics.rays import Rays
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.array_cells import (
     centre_of,
+    frames_of,
     gradient_of,
     grid_of,
     place_in_row,
@@ -195,7 +196,7 @@ def law_chunk(
         copy_row(lane(s, GOOD), lane(s, SANE), m)
         arrive_well_inside(sheet, 0, s, m)
         if sheet.own is not None:
-            _refract(sheet.own, sheet.own.frame, sheet, law, s, m, BEHIND)
+            _refract(sheet.own, frames_of(sheet.own), sheet, law, s, m, BEHIND)
         _cross(sheet, s, m)
         store_block(sheet, s, block, 0, out)
         miss(s, block, start, ray, out)
