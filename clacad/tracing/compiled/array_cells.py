@@ -104,14 +104,6 @@ def own_frame(frames: Floats | None, sheet: Packed, own: OwnCells, f: int, i: fl
 
 
 @inlined
-def frames_of(own: OwnCells | None) -> Floats | None:
-    """Frames of the lenses of cells, if any has its own."""
-    if own is None:
-        return None
-    return own.frame
-
-
-@inlined
 def framed(own: OwnCells | None, f: int) -> bool:
     """Whether the lenses of face f have frames of their own."""
     if own is None:

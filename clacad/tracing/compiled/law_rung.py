@@ -14,7 +14,7 @@ from math import inf, sqrt
 
 import numpy as np
 
-from clacad.base.compiled import exact, least, less_product, owning, pair_sum, two_product
+from clacad.base.compiled import exact, inlined, least, less_product, owning, pair_sum, two_product
 from clacad.base.types import Floats, Rows
 from clacad.light.compiled_sums import DELTA_X, DELTA_Y, ETA_X, ETA_Y, R0
 from clacad.light.sums import LARGE, ordinary
@@ -24,7 +24,6 @@ from clacad.optics.rays import Rays
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.array_cells import (
     centre_of,
-    frames_of,
     gradient_of,
     grid_of,
     place_in_row,
@@ -195,13 +194,19 @@ def law_chunk(
         launch_block(sheet.lattice, sheet.bodies[0], s, m)
         copy_row(lane(s, GOOD), lane(s, SANE), m)
         arrive_well_inside(sheet, 0, s, m)
-        if sheet.own is not None:
-            _refract(sheet.own, frames_of(sheet.own), sheet, law, s, m, BEHIND)
+        _refract_in_cells(sheet.own, sheet, law, s, m)
         _cross(sheet, s, m)
         store_block(sheet, s, block, 0, out)
         miss(s, block, start, ray, out)
         count = queue_undecided(s, block, left, count)
     return count
+
+
+@inlined
+def _refract_in_cells(own: OwnCells | None, sheet: Packed, law: Floats, s: Floats, m: int) -> None:
+    """Refract rays by the laws of their cells, where these differ."""
+    if own is not None:
+        _refract(own, own.frame, sheet, law, s, m, BEHIND)
 
 
 @exact
