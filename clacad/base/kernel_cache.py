@@ -29,7 +29,6 @@ SOURCES = (
     "tracing/reference/*.py",
     "tracing/facets/*.py",
     "tracing/layout.py",
-    "tracing/ledger.py",
     "light/sums.py",
     "**/*compiled*.py",
     "**/compiled/*.py",

@@ -47,6 +47,18 @@ def to_surface(rotation: Floats | None, rows: Floats) -> Floats:
     return rows if rotation is None else to_sheet(rotation.swapaxes(-1, -2), rows)
 
 
+def rotated_by(about_x: float, about_y: float, about_z: float) -> Floats:
+    """Rotation (3, 3) about the vector (x, y, z), by its length in radians (Rodrigues); no order of axes."""
+    x, y, z = vector = np.array([about_x, about_y, about_z])
+    angle = float(np.linalg.norm(vector))
+    if angle == 0.0:
+        return np.eye(3)
+    half = 0.5 * angle
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    first, second = np.sin(angle) / angle, 0.5 * (np.sin(half) / half) ** 2
+    return np.asarray(np.eye(3) + first * across + second * (across @ across))
+
+
 def unit(vector: Floats) -> Floats:
     """Return a vector (3,) at length 1."""
     return np.asarray(vector / np.linalg.norm(vector))

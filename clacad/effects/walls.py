@@ -46,9 +46,11 @@ def effect(window: Window, setting: Setting) -> Effect:
 
 def bound(situation: Situation) -> Bound:
     """Share of WALL light: Σ (mean step / pitch)·slope plus the area not covered by lenses, or as counted."""
+    from clacad.effects.engine.probe_rays import mean_steps
+
     counted = situation.share(Fate.WALL)
     t = float(np.abs(situation.slopes).max(initial=0.0))
-    estimate = step_share(situation.window) * t
+    estimate = mean_steps(situation.window) * t
     # a few probe rays may all miss existing walls; without a step there is none to miss
     radiance = situation.most(counted) if counted > 0.0 or estimate > SMOOTH else 0.0
     land = situation.share(Fate.LAND)
@@ -56,13 +58,6 @@ def bound(situation: Situation) -> Bound:
         f"; {land:.2%} passes land and is shown" if land else ""
     )
     return Bound(0.0, radiance, why, 1.0 + 30.0 * counted)
-
-
-def step_share(window: Window) -> float:
-    """Σ over borders of mean step height over pitch, summed over the faces: WALL share per unit of slope."""
-    from clacad.effects.engine.probe_rays import mean_steps
-
-    return mean_steps(window)
 
 
 DECLARED = Declaration(NAME, effect, bound, shows=Fate.WALL, follows=True)

@@ -12,6 +12,7 @@ import numpy as np
 
 from clacad.base.types import Floats
 from clacad.base.units import millimetres
+from clacad.base.vectors import rotated_by
 from clacad.exporting.formats.registry import kind_of
 from clacad.exporting.roles import Role
 from clacad.formats.mesh.file_mesh import FileMesh
@@ -284,7 +285,7 @@ def fitted(trial: Trial) -> Fit:
             best = (residual, turn, scale, move)
         change = _step(here[known], off.normal[known], off.distance[known])
         pivot = here[known].mean(axis=0)
-        small = _rotation(change[:3])
+        small = rotated_by(*change[:3])
         grown = 1.0 + change[6]
         turn, scale = small @ turn, scale / grown
         move = grown * (small @ (move - pivot)) + pivot + change[3:6]
@@ -368,18 +369,6 @@ def _step(points: Floats, normal: Floats, distance: Floats) -> Floats:
     solved[6] /= size
     limit = np.array([0.05] * 3 + [0.25 * size] * 3 + [0.05])
     return np.asarray(np.clip(solved, -limit, limit))
-
-
-def _rotation(vector: Floats) -> Floats:
-    """Rotation (3, 3) by a rotation vector in radians (Rodrigues)."""
-    x, y, z = vector
-    angle = float(np.linalg.norm(vector))
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    if angle == 0.0:
-        return np.eye(3)
-    return np.asarray(
-        np.eye(3) + np.sin(angle) / angle * cross + (1.0 - np.cos(angle)) / angle**2 * (cross @ cross)
-    )
 
 
 def best_of(fits: Sequence[Fit]) -> Fit:

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import import_module
-from importlib.util import find_spec
 from math import hypot, log, prod
 from typing import TYPE_CHECKING
 
@@ -210,8 +207,7 @@ def measure(
 def _measured(design: Design, window: Window, maps: Maps, progress: Progress | None) -> Measured:
     """Measure a part of a window by its maps."""
     told = shown_progress(progress)
-    with one_thread():
-        found, heights, lateral = fitted_sides(design, window, maps, progress)
+    found, heights, lateral = fitted_sides(design, window, maps, progress)
     told("sending light through the measured form", 0.6)
     light = light_through_form(
         window, {name: one.lit for name, one in found.items()}, design.check.field, design.check.field_centre
@@ -224,14 +220,6 @@ def _measured(design: Design, window: Window, maps: Maps, progress: Progress | N
     judged = Scanned(design, found, light, heights, lateral, wavelength)
     told("done", 1.0)
     return Measured(design, found, heights, lateral, light, prod(shares), scan_checks(judged))
-
-
-def one_thread() -> AbstractContextManager[object]:
-    """Keep linear algebra on one processor, by threadpoolctl if installed: matrices of lenslets are small."""
-    if find_spec("threadpoolctl") is None:
-        return nullcontext()
-    limits: AbstractContextManager[object] = import_module("threadpoolctl").threadpool_limits(1, "blas")
-    return limits
 
 
 def _alike(

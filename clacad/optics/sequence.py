@@ -20,7 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from clacad.base.pairs import pair, pair_product, pair_sum, two_product, two_sum
 from clacad.base.types import Bools, Floats
 from clacad.base.vectors import to_sheet, to_surface
-from clacad.optics.rays import NO_CELL, Fate, OneRay, Rays, TraceResult, as_rays
+from clacad.optics.ledger import Ledger
+from clacad.optics.rays import Fate, OneRay, Rays, TraceResult, as_rays
 from clacad.optics.surface import ULP, Surface, meet_at, refract
 
 Aperture = tuple[Literal["ellipse", "rectangle"], float, float]
@@ -147,7 +148,7 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays | OneRay, record: bool =
     rays = as_rays(rays)
     if not (seq := list(seq)):
         raise ValueError("the sequence holds no surface")
-    ledger = _Ledger.opened(rays, len(seq) if record else 0)
+    ledger = Ledger.opened(rays, len(seq) if record else 0)
     live = np.flatnonzero(rays.valid())
     direction, scaled = unit_directions(rays.direction[live])
     offset, travelled = launch(rays.position[live], scaled, seq[0].vertex)
@@ -156,11 +157,11 @@ def trace_sequence(seq: Sequence[Interface], rays: Rays | OneRay, record: bool =
             offset = pass_on(offset, seq[k - 1].vertex, interface.vertex)
             travelled = np.zeros(len(live))
         crossing = cross(interface, offset, direction, travelled)
-        ledger.enter(k, interface, live, crossing)
+        _enter(ledger, k, interface, live, crossing)
         going = crossing.fate == Fate.ALIVE
         live, offset, direction = live[going], crossing.offset[going], crossing.direction[going]
     ledger.fate[live[~(direction[:, 2] > 0)]] = Fate.BACKWARD
-    return ledger.closed()
+    return _closed(ledger, rays)
 
 
 def unit_directions(direction: Floats) -> tuple[Floats, Floats]:
@@ -256,65 +257,26 @@ def inside(aperture: Aperture, point: Floats) -> Bools:
         return np.asarray(np.maximum(u, v) <= 1 if kind == "rectangle" else u * u + v * v <= 1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Ledger:
-    """The result under construction: columns are filled in as rays end."""
+def _enter(
+    ledger: Ledger, k: int, interface: Interface, rows: NDArray[np.intp], crossing: SurfaceCrossing
+) -> None:
+    """Record the result of surface k for the rays `rows`."""
+    met = crossing.fate != Fate.MISSED
+    ledger.fate[rows] = crossing.fate
+    hit, length = rows[met], interface.index_before * crossing.distance[met]
+    offset, direction = crossing.offset[met] + np.asarray(interface.vertex), crossing.direction[met]
+    ledger.end(hit, crossing.fate[met], offset, direction, ledger.optical_path[hit] + length, k)
+    if len(ledger.hits):
+        ledger.hits[k], ledger.directions[k] = ledger.position, ledger.direction
 
-    launched: Rays
-    position: Floats
-    direction: Floats
-    fate: NDArray[np.uint8]
-    optical_path: Floats
-    surface: NDArray[np.int32]
-    hits: Floats
-    directions: Floats
 
-    @classmethod
-    def opened(cls, rays: Rays, recorded: int) -> _Ledger:
-        """Every ray as launched: INVALID until it hits a surface."""
-        n = len(rays)
-        return cls(
-            launched=rays,
-            position=rays.position.copy(),
-            direction=rays.direction.copy(),
-            fate=np.full(n, Fate.INVALID, dtype=np.uint8),
-            optical_path=np.zeros(n),
-            surface=np.full(n, NO_CELL, dtype=np.int32),
-            hits=np.zeros((recorded, n, 3)),
-            directions=np.zeros((recorded, n, 3)),
-        )
-
-    def enter(self, k: int, interface: Interface, rows: NDArray[np.intp], crossing: SurfaceCrossing) -> None:
-        """Record the result of surface k for the rays `rows`."""
-        self.fate[rows] = crossing.fate
-        met = crossing.fate != Fate.MISSED
-        hit = rows[met]
-        self.position[hit] = crossing.offset[met] + np.asarray(interface.vertex)
-        self.direction[hit] = crossing.direction[met]
-        self.optical_path[hit] += interface.index_before * crossing.distance[met]
-        self.surface[hit] = k
-        if len(self.hits):
-            self.hits[k], self.directions[k] = self.position, self.direction
-
-    def closed(self) -> TraceResult:
-        """The result; missed rays are returned as launched."""
-        missed = self.fate == Fate.MISSED
-        self.position[missed] = self.launched.position[missed]
-        self.direction[missed] = self.launched.direction[missed]
-        self.optical_path[missed] = 0.0
-        n = len(self.fate)
-        return TraceResult(
-            position=self.position,
-            direction=self.direction,
-            fate=self.fate,
-            optical_path=self.optical_path,
-            cell=np.full((n, 2), NO_CELL, dtype=np.int32),
-            order=np.full((n, 2), NO_CELL, dtype=np.int32),
-            surface=self.surface,
-            flux=np.ones(n),
-            hits=self.hits if len(self.hits) else None,
-            directions=self.directions if len(self.directions) else None,
-        )
+def _closed(ledger: Ledger, launched: Rays) -> TraceResult:
+    """The result; missed rays are returned as launched."""
+    missed = ledger.fate == Fate.MISSED
+    ledger.position[missed] = launched.position[missed]
+    ledger.direction[missed] = launched.direction[missed]
+    ledger.optical_path[missed] = 0.0
+    return ledger.closed()
 
 
 def _proper(rotation: ArrayLike) -> Floats:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.types import Floats
+from clacad.base.vectors import rotated_by
 from clacad.optics.sequence import Interface
 from clacad.sheet.face_order import plates_of, refractions
 from clacad.sheet.like_cell import interfaces
@@ -80,29 +81,17 @@ def tilted_plate(window: Window, number: int, turn: Floats, aside: Floats) -> li
     number : Of the plate, from 1. turn : (3,) radians. Vector of the rotation about the plate's own middle.
     aside : (3,) lengths. Place of the telescopelet in the sheet: the plate rises there by turn × aside.
     """
-    plate, found = plates_of(window.bodies)[number - 1], []
+    plate, whole, found = plates_of(window.bodies)[number - 1], rotated_by(*turn), []
     heights = (plate[0].front.vertex[2], plate[-1].back.vertex[2])
     for (body, face, _, _), one in zip(refractions(window.bodies), interfaces(window), strict=True):
         if body in plate:
             array = body.arrays[0] if face.array is None else face.array
             pivot = np.array([*window.shifts[array], 0.5 * sum(heights)]) - aside
             rotation = np.eye(3) if one.rotation is None else one.rotation
-            vertex = pivot + about(turn, np.asarray(one.vertex) - pivot)
-            turned = about(turn, rotation.T).T
-            one = Interface(one.surface, vertex, one.index_before, one.index_after, turned)
+            vertex = pivot + whole @ (np.asarray(one.vertex) - pivot)
+            one = Interface(one.surface, vertex, one.index_before, one.index_after, whole @ rotation)
         found.append(one)
     return found
-
-
-def about(turn: Floats, points: Floats) -> Floats:
-    """Points (…, 3) rotated about the origin by the vector `turn` (3,), radians, not 0 (Rodrigues)."""
-    angle = float(np.linalg.norm(turn))
-    axis = turn / angle
-    along = points @ axis
-    across = points - along[..., None] * axis
-    return np.asarray(
-        along[..., None] * axis + np.cos(angle) * across + np.sin(angle) * np.cross(axis, points)
-    )
 
 
 def paraxial_exit(window: Window, height: Floats, slope: Floats) -> tuple[Floats, Floats]:

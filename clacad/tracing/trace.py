@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from clacad.base.types import Rows, Rung
+from clacad.optics.ledger import Ledger
 from clacad.optics.rays import OneRay, Rays, TraceResult, as_rays
 from clacad.sheet.face_order import media_of
 from clacad.sheet.need_window import need_equal_cells, need_window
 from clacad.sheet.window import Window
 from clacad.tracing.facets.tiles import Tiles
 from clacad.tracing.layout import Layout, colours, lay_out
-from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.launch import trace_law
 from clacad.tracing.which_path import (
     IDEAL_FACES,

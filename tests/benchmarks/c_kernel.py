@@ -27,6 +27,7 @@ from oracle.windows import biconvex
 from peer_jobs import beam
 
 import clacad
+from clacad.optics.ledger import Ledger
 from clacad.optics.rays import Rays
 from clacad.sheet.window import Window
 from clacad.tracing.compiled import packing as slot
@@ -34,7 +35,6 @@ from clacad.tracing.compiled.chunk import piece, trace_chunk
 from clacad.tracing.compiled.packing import pack
 from clacad.tracing.compiled.threads import CHUNK, in_arrays
 from clacad.tracing.layout import lay_out
-from clacad.tracing.ledger import Ledger
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-shared", "-fPIC")
 WIDE = "-mprefer-vector-width=512"

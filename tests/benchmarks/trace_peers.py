@@ -195,9 +195,9 @@ def threads(count: int) -> dict[str, float]:
 
 def trace_with(window: Window, rays: Rays, number: int) -> Job:
     """The compiled tracer on a given number of threads, into arrays that exist already."""
+    from clacad.optics.ledger import Ledger
     from clacad.tracing.compiled.chunk import trace_compiled
     from clacad.tracing.layout import lay_out
-    from clacad.tracing.ledger import Ledger
 
     ledger, layout, media = Ledger.blank(len(rays), 0), lay_out(window), media_of(window.bodies)
     return lambda: trace_compiled(layout, rays, ledger, np.arange(len(rays)), media, number)

@@ -25,13 +25,13 @@ from peer_jobs import beam
 
 from clacad.effects.trace import trace
 from clacad.mesh import tessellate
+from clacad.optics.ledger import Ledger
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled.chunk import trace_chunk
 from clacad.tracing.compiled.packing import pack
 from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.facets.tiles import lay_out_mesh
 from clacad.tracing.layout import lay_out
-from clacad.tracing.ledger import Ledger
 
 ROUNDS = 7
 SURFACES = 4

@@ -143,10 +143,10 @@ def test_bins_with_walls_off_the_rim_are_counted_in_every_rectangle_of_bins():
 @pytest.mark.parametrize("cells", CELLS)
 def test_rays_of_a_view_are_decided_without_the_trees(cells):
     """So that a trace through a file costs about what one through the mesh in memory does."""
+    from clacad.optics.ledger import Ledger
     from clacad.tracing.compiled.chunk import trace_chunk_of_triangles
     from clacad.tracing.compiled.packing import pack
     from clacad.tracing.compiled.records import Outcome
-    from clacad.tracing.ledger import Ledger
 
     window = CELLS[cells]
     facets = soups.lay_out_soup(window, soup(window, 16), "facet")

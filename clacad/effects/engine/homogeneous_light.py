@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from clacad.base.polygons import polygon_area
 from clacad.base.types import Floats, Ints, Rows
+from clacad.optics.ledger import RayColumns
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.sheet.need_window import need_one_eta
 from clacad.sheet.vignetting import (
@@ -31,7 +32,6 @@ from clacad.sheet.vignetting import (
     thin_cells,
 )
 from clacad.sheet.window import Window
-from clacad.tracing.ledger import RayColumns
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,13 +13,13 @@ from typing import Literal
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints, Rows
+from clacad.optics.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL, RayColumns
 from clacad.optics.rays import Rays
 from clacad.optics.surface import refract
 from clacad.optics.surface.fresnel_coefficients import deviation, reflected
 from clacad.sheet.face_order import lined_surfaces
 from clacad.sheet.window import IDENTITY, Body, Face, Window
 from clacad.tracing.layout import BodyPlan, Layout, lay_out, lenses, sheet_position
-from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL, RayColumns
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import Event, first_change
 from clacad.tracing.reference.face import NUDGE, lens_normals, on_line, wall_normals

@@ -21,10 +21,10 @@ from clacad import effects as registry
 from clacad.base.types import Floats, Rung
 from clacad.effects import declared, declared_all
 from clacad.effects.engine.effect import Effect, RayBlock, Setting, When, crossings
+from clacad.optics.ledger import Ledger
 from clacad.optics.rays import Rays, TraceResult
 from clacad.sheet.face_order import media_of
 from clacad.sheet.window import Window
-from clacad.tracing.ledger import Ledger
 
 Chosen = slice | NDArray[np.intp]
 

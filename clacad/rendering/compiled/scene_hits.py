@@ -33,31 +33,14 @@ from clacad.tracing.facets.compiled_hierarchy import nearest, normal_of
 @exact
 def to_frame(prim: Floats, k: int, m: int, ray: Floats, local: Floats) -> None:
     """Starts and directions (6, m) of rays in the frame of primitive k."""
-    x, y, z, u, v, w = ray[0, :m], ray[1, :m], ray[2, :m], ray[3, :m], ray[4, :m], ray[5, :m]
-    lx, ly, lz, ru, rv, rw = (
-        local[0, :m],
-        local[1, :m],
-        local[2, :m],
-        local[3, :m],
-        local[4, :m],
-        local[5, :m],
-    )
-    ox, oy, oz = prim[k, slot.ORIGIN], prim[k, slot.ORIGIN + 1], prim[k, slot.ORIGIN + 2]
-    a, b, c = prim[k, slot.TURN], prim[k, slot.TURN + 1], prim[k, slot.TURN + 2]
-    d, e, f = prim[k, slot.TURN + 3], prim[k, slot.TURN + 4], prim[k, slot.TURN + 5]
-    g, h, q = prim[k, slot.TURN + 6], prim[k, slot.TURN + 7], prim[k, slot.TURN + 8]
-    if a == 1.0 and e == 1.0 and q == 1.0:  # of a rotation: none
-        for i in range(m):
-            lx[i], ly[i], lz[i] = x[i] - ox, y[i] - oy, z[i] - oz
-        for i in range(m):
-            ru[i], rv[i], rw[i] = u[i], v[i], w[i]
-        return
+    origin, turn = prim[k, slot.ORIGIN : slot.ORIGIN + 3], prim[k, slot.TURN : slot.TURN + 9]
+    unturned = turn[0] == 1.0 and turn[4] == 1.0 and turn[8] == 1.0  # of a rotation: none
     for i in range(m):
-        px, py, pz = x[i] - ox, y[i] - oy, z[i] - oz
-        lx[i], ly[i], lz[i] = px * a + py * d + pz * g, px * b + py * e + pz * h, px * c + py * f + pz * q
+        x, y, z = ray[0, i] - origin[0], ray[1, i] - origin[1], ray[2, i] - origin[2]
+        local[0, i], local[1, i], local[2, i] = (x, y, z) if unturned else _into_frame(turn, x, y, z)
     for i in range(m):
-        p, r, s = u[i], v[i], w[i]
-        ru[i], rv[i], rw[i] = p * a + r * d + s * g, p * b + r * e + s * h, p * c + r * f + s * q
+        x, y, z = ray[3, i], ray[4, i], ray[5, i]
+        local[3, i], local[4, i], local[5, i] = (x, y, z) if unturned else _into_frame(turn, x, y, z)
 
 
 @exact
@@ -230,33 +213,26 @@ def background(world: Floats, u: float, v: float, w: float) -> tuple[float, floa
     )
 
 
+@inlined
+def _into_frame(turn: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A vector of the scene in the frame of a primitive with these axes (9,)."""
+    return (
+        x * turn[0] + y * turn[3] + z * turn[6],
+        x * turn[1] + y * turn[4] + z * turn[7],
+        x * turn[2] + y * turn[5] + z * turn[8],
+    )
+
+
 @exact
 def painted(tables: Tables, k: int, facet: int, ray: Ray, distance: float) -> tuple[float, float, float]:
     """Light of primitive k where a ray meets it."""
     world, prim, store = tables.world, tables.prim, tables.store
     x, y, z, u, v, w = ray
+    turn, towards = prim[k, slot.TURN : slot.TURN + 9], world[slot.TOWARDS_LIGHT : slot.TOWARDS_LIGHT + 3]
     px, py, pz = x - prim[k, slot.ORIGIN], y - prim[k, slot.ORIGIN + 1], z - prim[k, slot.ORIGIN + 2]
-    ru = u * prim[k, slot.TURN + 0] + v * prim[k, slot.TURN + 3] + w * prim[k, slot.TURN + 6]
-    rv = u * prim[k, slot.TURN + 1] + v * prim[k, slot.TURN + 4] + w * prim[k, slot.TURN + 7]
-    rw = u * prim[k, slot.TURN + 2] + v * prim[k, slot.TURN + 5] + w * prim[k, slot.TURN + 8]
-    lx = (
-        px * prim[k, slot.TURN + 0]
-        + py * prim[k, slot.TURN + 3]
-        + pz * prim[k, slot.TURN + 6]
-        + distance * ru
-    )
-    ly = (
-        px * prim[k, slot.TURN + 1]
-        + py * prim[k, slot.TURN + 4]
-        + pz * prim[k, slot.TURN + 7]
-        + distance * rv
-    )
-    lz = (
-        px * prim[k, slot.TURN + 2]
-        + py * prim[k, slot.TURN + 5]
-        + pz * prim[k, slot.TURN + 8]
-        + distance * rw
-    )
+    ru, rv, rw = _into_frame(turn, u, v, w)
+    lx, ly, lz = _into_frame(turn, px, py, pz)
+    lx, ly, lz = lx + distance * ru, ly + distance * rv, lz + distance * rw
     paint, pattern = prim[k, slot.PAINT], prim[k, slot.PATTERN]
     if paint == slot.COORDINATES:
         return lx / (2.0 * prim[k, slot.SIZE]) + 0.5, ly / (2.0 * prim[k, slot.SIZE + 1]) + 0.5, 1.0
@@ -272,14 +248,10 @@ def painted(tables: Tables, k: int, facet: int, ray: Ray, distance: float) -> tu
     light = world[slot.AMBIENT]
     if world[slot.KEY] != 0.0:
         nx, ny, nz = normal(tables, k, facet, lx, ly, lz)
-        sx = nx * prim[k, slot.TURN + 0] + ny * prim[k, slot.TURN + 1] + nz * prim[k, slot.TURN + 2]
-        sy = nx * prim[k, slot.TURN + 3] + ny * prim[k, slot.TURN + 4] + nz * prim[k, slot.TURN + 5]
-        sz = nx * prim[k, slot.TURN + 6] + ny * prim[k, slot.TURN + 7] + nz * prim[k, slot.TURN + 8]
-        facing = (
-            sx * world[slot.TOWARDS_LIGHT]
-            + sy * world[slot.TOWARDS_LIGHT + 1]
-            + sz * world[slot.TOWARDS_LIGHT + 2]
-        )
+        sx = nx * turn[0] + ny * turn[1] + nz * turn[2]
+        sy = nx * turn[3] + ny * turn[4] + nz * turn[5]
+        sz = nx * turn[6] + ny * turn[7] + nz * turn[8]
+        facing = sx * towards[0] + sy * towards[1] + sz * towards[2]
         if sx * u + sy * v + sz * w > 0.0:
             facing = -facing
         light = world[slot.AMBIENT] + world[slot.KEY] * max(0.0, facing)

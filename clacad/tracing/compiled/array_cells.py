@@ -86,15 +86,17 @@ def own_size(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> float:
     return float(own.size[which, place_in_row(sheet.lattice, i, j), int(j)])
 
 
-@exact
-def own_frame(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> float:
+@inlined
+def own_frame(frames: Floats | None, sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> float:
     """Write the numbers of a cell's lens into the row of face f, and return its rise besides its offset's."""
+    if frames is None:
+        return 0.0
     which, face = int(own.change[f, slot.FRAME]), sheet.faces[f]
     if which < 0:
         return 0.0
-    row = own.frame[which, 0, 0]
+    row = frames[which, 0, 0]
     if kept(sheet.lattice, sheet.rows, i, j):
-        row = own.frame[which, place_in_row(sheet.lattice, i, j), int(j)]
+        row = frames[which, place_in_row(sheet.lattice, i, j), int(j)]
     face[slot.CY], face[slot.KX] = row[slot.FIRST], row[slot.SECOND]
     for k in range(9):
         face[slot.R0 + k] = row[slot.AXES + k]
@@ -106,7 +108,14 @@ def framed(own: OwnCells | None, f: int) -> bool:
     """Whether the lenses of face f have frames of their own."""
     if own is None:
         return False
-    return bool(own.change[f, slot.FRAME] >= 0.0)
+    return _in_frames(own.frame, own.change, f)
+
+
+@inlined
+def _in_frames(frames: Floats | None, change: Floats, f: int) -> bool:
+    if frames is None:
+        return False
+    return bool(change[f, slot.FRAME] >= 0.0)
 
 
 @inlined
@@ -174,7 +183,7 @@ def _own_lens_at(sheet: Packed, own: OwnCells, f: int, i: float, j: float) -> Pl
     vx, vy, vz = sheet.faces[f, slot.VX], sheet.faces[f, slot.VY], sheet.faces[f, slot.VZ]
     ax, ay = own_offset(sheet, own, f, i, j)
     rise = ax * own.change[f, slot.RISE_X] + ay * own.change[f, slot.RISE_Y]
-    rise += own_frame(sheet, own, f, i, j)
+    rise += own_frame(own.frame, sheet, own, f, i, j)
     return vx + ax, vy + ay, vz + rise, own_size(sheet, own, f, i, j)
 
 
@@ -477,21 +486,36 @@ def from_own_lens(own: OwnCells, f: int, s: Floats, m: int, offset: Vector) -> N
         path[i] *= size[i]
 
 
-@exact
+@inlined
 def meet_framed(
-    sheet: Packed, own: OwnCells, f: int, s: Floats, m: int, index: float, offset: Vector
+    own: OwnCells | None, sheet: Packed, f: int, s: Floats, m: int, index: float, offset: Vector
 ) -> None:
-    """Carry rays to the lens of each ray's own cell, where lenses have frames of their own.
+    """Carry rays to the lens of each ray's own cell, where lenses have frames of their own."""
+    if own is not None:
+        _meet_in_frames(own.frame, own, sheet, f, s, m, index, offset)
 
-    Positions plus the offset are relative to the face's vertex, afterwards without it; normals are kept.
-    """
+
+@exact
+def _meet_in_frames(
+    frames: Floats | None,
+    own: OwnCells,
+    sheet: Packed,
+    f: int,
+    s: Floats,
+    m: int,
+    index: float,
+    offset: Vector,
+) -> None:
+    """Carry to positions relative to the face's vertex, which the offset is not part of; normals are kept."""
+    if frames is None:
+        return
     faces, (ox, oy, oz) = sheet.faces, offset
     rise_x, rise_y = own.change[f, slot.RISE_X], own.change[f, slot.RISE_Y]
     for i in range(m):
         if not s[GOOD, i] > 0.0:
             continue
         ax, ay = own_offset(sheet, own, f, s[CI, i], s[CJ, i])
-        az = ax * rise_x + ay * rise_y + own_frame(sheet, own, f, s[CI, i], s[CJ, i])
+        az = ax * rise_x + ay * rise_y + own_frame(frames, sheet, own, f, s[CI, i], s[CJ, i])
         size = own_size(sheet, own, f, s[CI, i], s[CJ, i])
         x, y, z = (s[X, i] + ox - ax) / size, (s[Y, i] + oy - ay) / size, (s[Z, i] + oz - az) / size
         x, y, z = to_lens(faces, f, x, y, z)

@@ -18,11 +18,11 @@ from math import copysign, floor, inf, isfinite
 
 from clacad.base.compiled import exact, inlined, less_multiple, two_product, two_sum
 from clacad.base.types import Floats, Ints
+from clacad.optics.ledger import ABOVE, BACK, FRONT
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.face import height, lens_roots, to_lens, to_sheet, upward
 from clacad.tracing.compiled.packing import Packed
 from clacad.tracing.compiled.records import DISTANCE, KIND, MOST_ARRAYS, PLACE, CellRay, Ray
-from clacad.tracing.ledger import ABOVE, BACK, FRONT
 
 
 @exact

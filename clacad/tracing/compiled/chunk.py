@@ -15,6 +15,7 @@ from clacad.base.compiled import exact, making, owning
 from clacad.base.kernel_cache import is_kept
 from clacad.base.types import Floats, Rows, Rung, Singles
 from clacad.optics.law import law_numbers
+from clacad.optics.ledger import Ledger
 from clacad.optics.rays import Fate, Rays
 from clacad.tracing.compiled.block import (
     BLOCK,
@@ -52,7 +53,6 @@ from clacad.tracing.facets.hierarchy import Hierarchy
 from clacad.tracing.facets.squares import Squares, Triangles
 from clacad.tracing.facets.tiles import Tiles
 from clacad.tracing.layout import Layout
-from clacad.tracing.ledger import Ledger
 
 ALIVE, GHOST, MISSED, INVALID = int(Fate.ALIVE), int(Fate.GHOST), int(Fate.MISSED), int(Fate.INVALID)
 

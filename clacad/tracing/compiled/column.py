@@ -6,6 +6,7 @@ from math import copysign, inf, isnan, nan, sqrt
 
 from clacad.base.compiled import exact, inlined
 from clacad.base.types import Floats, Ints
+from clacad.optics.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.array_cells import (
     in_plate,
@@ -29,7 +30,6 @@ from clacad.tracing.compiled.records import (
     CellRay,
     Ray,
 )
-from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 
 
 @exact

@@ -14,16 +14,16 @@ from math import inf, sqrt
 
 import numpy as np
 
-from clacad.base.compiled import exact, least, less_product, owning, pair_sum, two_product
+from clacad.base.compiled import exact, inlined, least, less_product, owning, pair_sum, two_product
 from clacad.base.types import Floats, Rows
 from clacad.light.compiled_sums import DELTA_X, DELTA_Y, ETA_X, ETA_Y, R0
 from clacad.light.sums import LARGE, ordinary
 from clacad.optics.law import law_numbers
+from clacad.optics.ledger import Ledger
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.array_cells import (
     centre_of,
-    framed,
     gradient_of,
     grid_of,
     place_in_row,
@@ -65,7 +65,6 @@ from clacad.tracing.compiled.packing import OwnCells, Packed, own_laws, pack_arr
 from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.compiled.threads import in_arrays, over_threads
 from clacad.tracing.layout import Layout
-from clacad.tracing.ledger import Ledger
 
 Rows3 = tuple[int, int, int]
 BEFORE, BEHIND = (DX, DY, DZ), (LEFT_X, LEFT_Y, ROOT)
@@ -157,8 +156,9 @@ def trace_law_plain(layout: Layout, rays: Rays, ledger: Ledger, threads: int) ->
 
 def _ordinary(own: OwnCells) -> bool:
     """Whether compiled code can hold the numbers of all laws; see `light.sums.ordinary`."""
-    largest = max(np.abs(one).max(initial=0.0) for one in own)
-    return bool(largest < LARGE and np.abs(own.frame[..., : slot.LIFT]).min(initial=1.0) > 1.0 / LARGE)
+    largest = max(np.abs(one).max(initial=0.0) for one in own if one is not None)
+    least = 1.0 if own.frame is None else np.abs(own.frame[..., : slot.LIFT]).min()
+    return bool(largest < LARGE and least > 1.0 / LARGE)
 
 
 def sheet_plane(layout: Layout) -> Packed:
@@ -187,15 +187,14 @@ def law_chunk(
         m = len(block)
         load_block(block, start, ray, s)
         if sheet.own is None:
-            _refract(None, sheet, law, s, m, BEFORE)
+            _refract(None, None, sheet, law, s, m, BEFORE)
         else:
             for before, behind in zip(BEFORE, BEHIND):
                 copy_row(lane(s, before), lane(s, behind), m)
         launch_block(sheet.lattice, sheet.bodies[0], s, m)
         copy_row(lane(s, GOOD), lane(s, SANE), m)
         arrive_well_inside(sheet, 0, s, m)
-        if sheet.own is not None:
-            _refract(sheet.own, sheet, law, s, m, BEHIND)
+        _refract_in_cells(sheet.own, sheet, law, s, m)
         _cross(sheet, s, m)
         store_block(sheet, s, block, 0, out)
         miss(s, block, start, ray, out)
@@ -203,11 +202,26 @@ def law_chunk(
     return count
 
 
+@inlined
+def _refract_in_cells(own: OwnCells | None, sheet: Packed, law: Floats, s: Floats, m: int) -> None:
+    """Refract rays by the laws of their cells, where these differ."""
+    if own is not None:
+        _refract(own, own.frame, sheet, law, s, m, BEHIND)
+
+
 @exact
-def _refract(own: OwnCells | None, sheet: Packed, law: Floats, s: Floats, m: int, given: Rows3) -> None:
+def _refract(
+    own: OwnCells | None,
+    frames: Floats | None,
+    sheet: Packed,
+    law: Floats,
+    s: Floats,
+    m: int,
+    given: Rows3,
+) -> None:
     """Put the directions behind the sheet into LEFT_X, LEFT_Y, ROOT, and their margin into GZ.
 
-    own : None, or the laws of cells, for rays in kept cells only
+    own, frames : None, or the laws of cells and their axes, for rays in kept cells only
     given : rows of the directions before the sheet
     """
     dx, dy, dz = lanes(s, given)
@@ -221,8 +235,8 @@ def _refract(own: OwnCells | None, sheet: Packed, law: Floats, s: Floats, m: int
             if not s[GOOD, i] > 0.0:
                 continue
             delta_x, delta_y = _delta_of_cell(own, sheet, law, s[CI, i], s[CJ, i])
-            if framed(own, 0):
-                turn = own.frame[0, place_in_row(sheet.lattice, s[CI, i], s[CJ, i]), int(s[CJ, i])]
+            if frames is not None:
+                turn = frames[0, place_in_row(sheet.lattice, s[CI, i], s[CJ, i]), int(s[CJ, i])]
                 eta_x, eta_y = turn[slot.FIRST], turn[slot.SECOND]
                 a, b, c = turn[slot.AXES], turn[slot.AXES + 1], turn[slot.AXES + 2]
                 d, e, f = turn[slot.AXES + 3], turn[slot.AXES + 4], turn[slot.AXES + 5]

@@ -82,12 +82,13 @@ class OwnCells(NamedTuple):
     size : (tables, n1, n2)
     frame : (tables, n1, n2, FRAME_NUMBERS)
         Numbers of each cell's lens in place of the face's, its rise besides, and its axes (lens → sheet).
+        None without any: kernels are then compiled without the code that reads it.
     """
 
     change: Floats
     table: Floats
     size: Floats
-    frame: Floats
+    frame: Floats | None
 
 
 def own_cells(changes: Sequence[VertexChange | None], frames: Sequence[Floats | None] = ()) -> OwnCells:
@@ -104,11 +105,13 @@ def own_cells(changes: Sequence[VertexChange | None], frames: Sequence[Floats | 
                 places[k] = float(len(kept))
                 kept.append(one)
         rows.append([1.0, *np.ravel(change.gradient).tolist(), places[0], *change.slope, *places[1:]])
-    table, size, frame = (
-        np.ascontiguousarray(kept) if kept else np.zeros((0, 1, 1, *last))
-        for kept, last in zip(tables, ((2,), (), (FRAME_NUMBERS,)), strict=True)
+    table, size, frame = (np.ascontiguousarray(kept) if kept else None for kept in tables)
+    return OwnCells(
+        np.array(rows),
+        np.zeros((0, 1, 1, 2)) if table is None else table,
+        np.zeros((0, 1, 1)) if size is None else size,
+        frame,
     )
-    return OwnCells(np.array(rows), table, size, frame)
 
 
 def own_laws(laws: CellLaws, lattice: Lattice) -> OwnCells:

@@ -374,10 +374,9 @@ def _cross(
         if first:
             _turn_in(face, s, m, offset)
         offset, lowest = (0.0, 0.0, 0.0), -2.0
-    if own is not None:
-        if first and framed(own, f):
-            meet_framed(sheet, own, f, s, m, media[0], offset)
-            first = False
+    if first and framed(own, f):
+        meet_framed(own, sheet, f, s, m, media[0], offset)
+        first = False
     if first and quadric:
         _meet_quadric(face, s, m, media[0], offset)
     elif first:

@@ -14,6 +14,7 @@ import numpy as np
 
 from clacad.base.compiled import exact, inlined, least, owning
 from clacad.base.types import Floats, Rows
+from clacad.optics.ledger import Ledger
 from clacad.optics.rays import Rays
 from clacad.optics.sequence import UNIT
 from clacad.tracing.compiled import packing as slot
@@ -61,7 +62,6 @@ from clacad.tracing.compiled.law_rung import (
 from clacad.tracing.compiled.packing import OwnCells, Packed, pack_array_1, pack_own
 from clacad.tracing.compiled.records import Outcome
 from clacad.tracing.layout import Layout, prepared
-from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference.thin import thin_layout, thin_patches
 
 CENTRE_X, CENTRE_Y, POWER_X, POWER_Y, R0, FLAT, LENS_NUMBERS = 0, 1, 2, 3, 4, 13, 14

@@ -11,9 +11,9 @@ import numpy as np
 
 from clacad.base.text import whole_number
 from clacad.base.types import Floats, Rows
+from clacad.optics.ledger import Ledger
 from clacad.optics.rays import Rays
 from clacad.tracing.compiled.records import Outcome
-from clacad.tracing.ledger import Ledger
 
 CHUNK = 1 << 16
 """Rays of one chunk: many chunks for each thread, so that no thread waits long for the last."""

@@ -6,6 +6,7 @@ from math import isfinite
 
 from clacad.base.compiled import exact, inlined
 from clacad.base.types import Floats, Ints
+from clacad.optics.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP
 from clacad.tracing.compiled import packing as slot
@@ -50,7 +51,6 @@ from clacad.tracing.facets.compiled_hierarchy import first_soup_change
 from clacad.tracing.facets.compiled_tiles import first_facet_change
 from clacad.tracing.facets.hierarchy import Hierarchy
 from clacad.tracing.facets.tiles import Tiles
-from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND
 
 BEHIND = 8 * ULP
 """Share of the travelled distance by which a first face may lie behind the start: rounding error."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from clacad.base.compiled import exact, inlined, least, owning
 from clacad.base.types import Floats, Ints
+from clacad.optics.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.sheet.window import WALL as WALL_SLOPE
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.cells import sheet_xy, to_array
@@ -30,7 +31,6 @@ from clacad.tracing.compiled.records import (
     Vector,
 )
 from clacad.tracing.facets.hierarchy import COUNT, FIRST, LEVELS, ROOT, Hierarchy
-from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 
 INWARDS, OUTWARDS, BOTH = 1, 2, 3
 """Results of `ways_through`: the direction in which triangles are passed."""

@@ -16,6 +16,7 @@ import numpy as np
 
 from clacad.base.compiled import exact, inlined, least
 from clacad.base.types import Floats, Ints
+from clacad.optics.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.tracing.compiled import packing as slot
 from clacad.tracing.compiled.block import DX, DY, DZ, GOOD, GX, GY, GZ, HALF, PATH, RANGE, X, Y, Z, lanes
 from clacad.tracing.compiled.cells import kept
@@ -59,7 +60,6 @@ from clacad.tracing.facets.tiles import (
     VOID,
     Tiles,
 )
-from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 
 NOT_LOOKED_UP, NONE = -2, -1
 """State of the facet that an array is in: not yet looked up; none exists."""

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Ints, Rows
+from clacad.optics.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL, RayColumns
 from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate_edges import next_crossing
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses
-from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL, RayColumns
 from clacad.tracing.reference.face import height, in_footprint, in_zone, lens_roots
 from clacad.tracing.reference.launch import Beam, box_span, cell_in, sheet_xy
 

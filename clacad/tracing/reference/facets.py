@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints, Rows
+from clacad.optics.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.optics.surface import refract
 from clacad.sheet.cell_places import LensPlaces
 from clacad.sheet.pattern import less_steps
@@ -33,7 +34,6 @@ from clacad.tracing.facets.tiles import (
     Tiles,
 )
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout
-from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.tracing.reference.column import (
     Event,
     Kinds,

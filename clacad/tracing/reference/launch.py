@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from clacad.base.pairs import pair, pair_product, pair_sum, two_product, two_sum
 from clacad.base.types import Bools, Floats, Ints, Rows
+from clacad.optics.ledger import Ledger, RayColumns
 from clacad.optics.rays import Fate
 from clacad.optics.sequence import unit_directions
 from clacad.sheet.cell_places import centre_pairs
 from clacad.sheet.pattern import less_steps, relocate, section
 from clacad.tracing.layout import BodyPlan, Layout, sheet_position
-from clacad.tracing.ledger import Ledger, RayColumns
 
 
 class Extent(Protocol):

@@ -15,11 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints, Rows
+from clacad.optics.ledger import Ledger
 from clacad.optics.rays import Fate
 from clacad.optics.surface import ULP
 from clacad.tracing.facets.tiles import TiledFace
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_position
-from clacad.tracing.ledger import Ledger
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.face import height, in_zone, on_line, well_inside
 from clacad.tracing.reference.facets import meet_face

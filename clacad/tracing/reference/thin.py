@@ -14,6 +14,7 @@ import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints, Pair2, Rows
 from clacad.base.vectors import to_sheet, to_surface
+from clacad.optics.ledger import Ledger, RayColumns
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.sheet.cell_places import CellPlacement, LensPlaces, VertexChange, extreme_cells
 from clacad.sheet.face_order import lined_array
@@ -21,7 +22,6 @@ from clacad.sheet.lattice import Circle, Outline, half_sizes
 from clacad.sheet.pattern import less_steps
 from clacad.sheet.plate import Plate
 from clacad.tracing.layout import Box, Layout, array_numbers, sheet_position
-from clacad.tracing.ledger import Ledger, RayColumns
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import along_normal
 from clacad.tracing.reference.face import in_zone, on_line

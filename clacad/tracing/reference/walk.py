@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Ints, Rows
+from clacad.optics.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, Ledger, RayColumns
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.optics.surface import ULP, refract
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lenses, sheet_position
-from clacad.tracing.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, Ledger, RayColumns
 from clacad.tracing.reference import launch as honeycomb
 from clacad.tracing.reference.column import Event
 from clacad.tracing.reference.face import Hit, cross, cross_at, cross_land, in_footprint, on_line

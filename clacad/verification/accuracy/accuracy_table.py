@@ -332,13 +332,13 @@ def compiling_seconds(window: Window, kernels: Sequence[Kernel]) -> float:
 def _kept(window: Window, kernel: Kernel) -> bool:
     """Whether the code of one kernel is on disk; it depends on the argument types alone."""
     from clacad.base.kernel_cache import is_kept
+    from clacad.optics.ledger import Ledger
     from clacad.optics.rays import Rays
     from clacad.tracing.compiled.chunk import rung_is_kept, straight_chunk_single, trace_chunk
     from clacad.tracing.compiled.packing import in_single, pack
     from clacad.tracing.compiled.threads import in_arrays
     from clacad.tracing.facets.triangle_soup import facets_of
     from clacad.tracing.layout import lay_out
-    from clacad.tracing.ledger import Ledger
 
     layout = lay_out(window)
     if kernel == "thin" and window.thin.field:  # computed by numpy

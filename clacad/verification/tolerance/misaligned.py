@@ -22,6 +22,8 @@ from zlib import crc32
 import numpy as np
 
 from clacad.base.types import Bools, Floats, Ints
+from clacad.base.vectors import rotated_by
+from clacad.optics.ledger import Ledger
 from clacad.optics.rays import Fate, Rays, TraceResult
 from clacad.optics.sequence import Interface, unit_directions
 from clacad.optics.surface import Surface, resized
@@ -30,7 +32,6 @@ from clacad.sheet.feasibility import thicker
 from clacad.sheet.plate import Plate
 from clacad.sheet.shrunk import grown_surface
 from clacad.sheet.window import Body, Face, Window, in_optical_tile
-from clacad.tracing.ledger import Ledger
 
 if TYPE_CHECKING:
     from clacad.design import Design
@@ -273,7 +274,7 @@ def _between(window: Window, errors: Errors, number: int) -> Motion:
         return Motion(np.eye(3), shift, np.zeros(3))
     plate = plates_of(window.bodies)[number]
     height = 0.5 * (plate[0].front.vertex[2] + plate[-1].back.vertex[2])
-    return Motion(_turned(*turns), shift, np.array([0.0, 0.0, height]))
+    return Motion(rotated_by(*turns), shift, np.array([0.0, 0.0, height]))
 
 
 def _second(window: Window, errors: Errors) -> Motion:
@@ -285,8 +286,10 @@ def _second(window: Window, errors: Errors) -> Motion:
         up += errors.get("thickness.1", 0.0)
     shift = np.array([errors.get("decentre.2.x", 0.0), errors.get("decentre.2.y", 0.0), up])
     loose = errors.get("pins.turn", 0.0)
-    turn = _turned(errors.get("tilt.x", 0.0), errors.get("tilt.y", 0.0), errors.get("rotation", 0.0) + loose)
-    about_pins = (_turned(0.0, 0.0, loose) - np.eye(3)) @ np.append(
+    turn = rotated_by(
+        errors.get("tilt.x", 0.0), errors.get("tilt.y", 0.0), errors.get("rotation", 0.0) + loose
+    )
+    about_pins = (rotated_by(0.0, 0.0, loose) - np.eye(3)) @ np.append(
         pivot[:2] - _middle_of_pins(window, pivot), 0.0
     )
     play = np.array([errors.get("pins.x", 0.0), errors.get("pins.y", 0.0), 0.0])
@@ -298,19 +301,6 @@ def _middle_of_pins(window: Window, pivot: Floats) -> Floats:
     holes = window.outline.holes if isinstance(window.outline, Plate) else ()
     pins = [(hole.x, hole.y) for hole in holes if hole.purpose == "pin"]
     return np.mean(pins, axis=0) if pins else pivot[:2]
-
-
-def _turned(about_x: float, about_y: float, about_z: float) -> Floats:
-    """Rotation (3, 3) about the vector (x, y, z), by its length in radians (Rodrigues); no order of axes."""
-    vector = np.array([about_x, about_y, about_z])
-    angle = float(np.linalg.norm(vector))
-    x, y, z = vector
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    if angle == 0.0:
-        return np.eye(3)
-    half = 0.5 * angle
-    first, second = np.sin(angle) / angle, 0.5 * (np.sin(half) / half) ** 2
-    return np.asarray(np.eye(3) + first * cross + second * (cross @ cross))
 
 
 OF_PROCESS = ("shrinkage", "shrinkage_lateral", "gamma")
