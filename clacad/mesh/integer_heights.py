@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from math import ceil, frexp, ldexp, sqrt
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -73,6 +74,13 @@ def cluster(levels: Ints, fixed: Bools, gap: int) -> Ints:
     out = np.empty_like(z)
     np.put_along_axis(out, order, chosen[flat], axis=1)
     return out
+
+
+MOST_KEPT = 4096
+"""Largest number of borders of cells with lenses of their own whose roots are kept."""
+
+_ROOTS: WeakKeyDictionary[Window, dict[tuple[int, ...], Floats]] = WeakKeyDictionary()
+"""Roots of borders by body, array, cell on the left, and class: no facet grid changes them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +148,16 @@ class CellLevels:
         border = self.tiling.borders[k]
         if self.others is None:
             return border.roots
-        bodies = self.body, self.beside(border.step).body
-        return roots_between(self.window, bodies, self.tiling.array, self.cells.columnar, k)
+        assert self.sheet is not None
+        own = [n for n, body in enumerate(self.window.bodies) if body is self.sheet.body]
+        known = _ROOTS.setdefault(self.window, {}) if own else {}
+        key = (*own, self.tiling.array, *self.index, k)
+        if key not in known:
+            if len(known) >= MOST_KEPT:
+                known.clear()
+            bodies = self.body, self.beside(border.step).body
+            known[key] = roots_between(self.window, bodies, self.tiling.array, self.cells.columnar, k)
+        return known[key]
 
     @cached_property
     def at_corners(self) -> Ints:

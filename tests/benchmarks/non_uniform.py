@@ -70,6 +70,7 @@ GROWTH = (10, 32, 100, 316, 548)
 
 ROWS = {
     "check": Row(("check", "designs/window-100mm.toml", *AIMED, "-q")),
+    "check printed": Row(("check", "designs/window-100mm.toml", *AIMED)),
     "dry run": _export("step,stl", "--dry-run"),
     "step": _export("step"),
     "step verify": _verify("step"),
