@@ -417,3 +417,25 @@ def test_planes_that_leave_the_axis_bent_are_refused():
     assert window("two-plates", pair__face=faces).uniform
     with pytest.raises(DesignError, match="planes bend the axis"):
         window("two-plates", pair__face=faces, **TILTED)
+
+
+def test_a_list_with_planes_under_cells_that_lean_differently_is_refused(tmp_path):
+    """Without planes each cell leans about its own axis; planes would have to bend each of them."""
+    plane = "".join(
+        f"[[pair.face]]\nafter = 1.0\nradius = 'inf'\nbehind = '{glass}'\n"
+        for glass in ("Fused silica", "PMMA")
+    )
+    (tmp_path / "t.csv").write_text("i,j,delta_x,delta_y,theta\n0,0,0,0,0\n1,0,0,0,1\n")
+
+    def sheet(planes, last):
+        (tmp_path / "d.toml").write_text(
+            'format = 1\nname = "leaning"\nunit = "mm"\n[law]\neta = [-1, -1]\nvarying = {table = "t.csv"}\n'
+            '[pair]\nform = "plates"\n[[pair.face]]\nz = 0\nradius = [1.0, 1.0]\narray = 1\nbehind = "PMMA"\n'
+            f"{planes}[[pair.face]]\nafter = {last}\nradius = [-1.0, -1.0]\narray = 2\n"
+            'behind = "air"\n[lattice]\npitch = 0.5\ncount = [2, 1]\n[check]\nprocess = "none"\n'
+        )
+        return clacad.prescribe(clacad.load(str(tmp_path / "d.toml")))
+
+    assert not sheet("", 6.06).uniform
+    with pytest.raises(DesignError, match="CL114: cells lean by different angles over planes"):
+        sheet(plane, 4.06)
