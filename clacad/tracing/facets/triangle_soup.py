@@ -265,13 +265,11 @@ def _laid_out(window: Window, mesh: AnyMesh | int, normals: Normals) -> Facets:
         mesh = tessellate(window, quads=mesh)
     elif isinstance(mesh, (str, os.PathLike)):
         mesh = read_soup(mesh, window)
-    if not window.uniform:
-        mesh = mesh if isinstance(mesh, TriangleSoup) else own_soup(mesh, normals)
-        layout, triangles = lay_out_soup(window, mesh, normals)
-        return Facets(endless_layout(layout), triangles)
-    if isinstance(mesh, TriangleSoup):
-        return Facets(*lay_out_soup(window, mesh, normals))
-    return Facets(*lay_out_mesh(window, mesh, normals))
+    if not isinstance(mesh, TriangleSoup) and not any(place.turn for place in window.placements):
+        return Facets(*lay_out_mesh(window, mesh, normals))
+    mesh = mesh if isinstance(mesh, TriangleSoup) else own_soup(mesh, normals)
+    layout, triangles = lay_out_soup(window, mesh, normals)
+    return Facets(layout if window.uniform else endless_layout(layout), triangles)
 
 
 MOST_FACETS = 4_000_000
