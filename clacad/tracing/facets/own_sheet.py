@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clacad.base.pairs import two_sum
-from clacad.base.types import Bools, Floats, Ints
+from clacad.base.types import Bools, Floats, Ints, Singles
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.cell_places import places_in_rows
 from clacad.sheet.window import Window, heights_and_normals_of_lenses
@@ -30,7 +30,7 @@ from clacad.tracing.reference.walk import Walkers, note_cell, order_of
 
 if TYPE_CHECKING:
     from clacad.mesh.body_mesh import BodyMesh
-    from clacad.mesh.cell_batch import OwnMeshCells
+    from clacad.mesh.cell_batch import CellBatch, OwnMeshCells
     from clacad.mesh.land_ring import Tiled
 
 BATCH = 200_000
@@ -67,7 +67,7 @@ class _Cells:
     tile: Tile
     first: Ints
     count: list[int] = field(default_factory=lambda: [0, 0])
-    height: tuple[list[Floats], list[Floats]] = field(default_factory=lambda: ([], []))
+    height: tuple[list[Singles], list[Singles]] = field(default_factory=lambda: ([], []))
     normal: tuple[list[Floats], list[Floats]] = field(default_factory=lambda: ([], []))
     rare: list[Tile] = field(default_factory=list)
     reach: list[Floats] = field(default_factory=list)
@@ -79,10 +79,7 @@ class _Cells:
         alike = batch.regular & (batch.xy == own.regular.maker.xy).all(axis=(1, 2))
         at = places_in_rows(window.lattice, cells), cells[:, 1]
         for n in np.flatnonzero(~alike).tolist():
-            index = (int(cells[n, 0]), int(cells[n, 1]))
-            self.rare.append(
-                make_tile(own.rare.body_at(index), own.rare.at(index).tile, self.level, self.normals)
-            )
+            self.rare.append(self._single(batch, n))
             self.first[:, at[0][n], at[1][n]] = BY_TILE - len(self.rare)
         heights, held = batch.own[alike] * own.base.step, own.base.held
         for side, face in enumerate((body.front, body.back)):
@@ -100,10 +97,21 @@ class _Cells:
         if alike.any():
             self.reach.append(self._reach(heights - self.level))
 
+    def _single(self, batch: CellBatch, n: int) -> Tile:
+        """Tile of cell n of a batch, whose footprint is its own."""
+        own, (i, j) = self.own, batch.cells[n].tolist()
+        body = own.rare.body_at((i, j)) if self.normals == "vertex" else self.meshed.body
+        if not batch.regular[n]:
+            return make_tile(body, own.rare.at((i, j)).tile, self.level, self.normals)
+        tile, lattice = own.regular.tile, self.meshed.window.lattice_of(own.base.tiling.array)
+        steps = lattice.centres(own.regular.maker.places[0]) - lattice.centres(np.zeros(2, dtype=np.int64))
+        plan = replace(tile.plan, xy=batch.xy[n] + steps)
+        return make_tile(body, replace(tile, plan=plan, lens=batch.own[n]), self.level, self.normals)
+
     def _numbered(self, side: int, heights: Floats) -> Ints:
         """Keep heights (n, p) of one side; the numbers (n,) of their first."""
         cells, points = heights.shape
-        first = self.count[side] + points * np.arange(cells)
+        first: Ints = self.count[side] + points * np.arange(cells)
         self.height[side].append(heights.astype(np.float32).ravel())
         self.count[side] += cells * points
         return first
