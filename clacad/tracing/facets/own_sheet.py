@@ -22,7 +22,17 @@ from clacad.base.types import Bools, Floats, Ints, Singles
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
 from clacad.sheet.cell_places import places_in_rows
 from clacad.sheet.window import Window, heights_and_normals_of_lenses
-from clacad.tracing.facets.tiles import ABSENT, BY_TILE, LENS, Normals, Tile, Tiling, make_tile, weights_of
+from clacad.tracing.facets.tiles import (
+    ABSENT,
+    BY_TILE,
+    LENS,
+    Normals,
+    Tile,
+    Tiling,
+    make_tile,
+    refuse_many,
+    weights_of,
+)
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, colours, lay_out
 from clacad.tracing.reference.face import in_footprint, on_line
 from clacad.tracing.reference.launch import Beam
@@ -35,6 +45,9 @@ if TYPE_CHECKING:
 
 BATCH = 200_000
 """Facets of the cells whose heights are computed together, about: some megabytes."""
+
+MOST_LOOKED_UP = 200_000_000
+"""Largest number of facets of a tiling whose heights are held: about 2 bytes each, 14 with normals."""
 
 MOST_CELLS = 4096
 """Largest number of these cells."""
@@ -50,6 +63,7 @@ def own_tiling(level: float, meshed: BodyMesh, tiled: Tiled, normals: Normals) -
     tile = make_tile(meshed.body, tiled.own.regular.tile, level, normals)
     made = _Cells(level, meshed, tiled.own, normals, tile, np.full(shape, ABSENT))
     cells = lattice.cells() if meshed.cells is None else meshed.cells
+    refuse_many(len(cells) * len(tile.corners), MOST_LOOKED_UP // (1 if normals == "facet" else 7))
     many = max(1, min(MOST_CELLS, BATCH // len(tile.corners)))
     for first in range(0, len(cells), many):
         made.add(cells[first : first + many])

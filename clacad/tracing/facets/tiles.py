@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.window import PLANE, Body, Face, Window, lens_height_and_normal
+from clacad.storage.errors import LimitRefused
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out
 
 if TYPE_CHECKING:
@@ -120,6 +121,15 @@ class Tile:
     normal: Floats
     land: tuple[float, float]
     reach: Floats
+
+
+def refuse_many(count: int, most: int) -> None:
+    """Reject a mesh with too many triangles of cells that differ. Raises LimitRefused."""
+    if count > most:
+        raise LimitRefused(
+            f'rung "mesh": about {count:,} triangles of cells that differ are more than the {most:,}'
+            " that are held; use fewer quads or fewer cells"
+        )
 
 
 @dataclass(frozen=True, eq=False)
