@@ -114,7 +114,7 @@ def locate_facet(tiles: Tiles, tile: int, x: float, y: float) -> int:
 
 @inlined
 def _first_of(own: CellHeights | None, sheet: Packed, f: int, i: float, j: float) -> int:
-    """Entry of a cell in `CellHeights.first`; of equal cells ABSENT, which is not read."""
+    """Entry of a cell in `CellHeights.first`; of identical cells ABSENT, which is not read."""
     if own is None:
         return ABSENT
     return _own_first(own, sheet, f, i, j)

@@ -26,9 +26,9 @@ from clacad.tracing.facets.tiles import (
     ABSENT,
     BY_TILE,
     LENS,
+    MeshTiling,
     Normals,
     Tile,
-    Tiling,
     make_tile,
     refuse_many,
     weights_of,
@@ -53,13 +53,13 @@ MOST_CELLS = 4096
 """Largest number of these cells."""
 
 
-def own_tiling(level: float, meshed: BodyMesh, tiled: Tiled, normals: Normals) -> Tiling:
-    """Tiles, and heights of the cells, of one tiling of a body of a non-uniform sheet, over the body's level."""
+def own_tiling(level: float, meshed: BodyMesh, tiled: Tiled, normals: Normals) -> MeshTiling:
+    """Tiles, and heights of the cells, of one tiling of a body of a non-uniform sheet at a level."""
     lattice, none = meshed.window.lattice, np.zeros(0, dtype=np.float32)
     shape = (2, *lattice.count)
     if tiled.own is None:
         tile = make_tile(meshed.body, tiled.maker.tile, level, normals)
-        return Tiling([tile], np.full(shape, BY_TILE), (none, none), (np.zeros((0, 3)), np.zeros((0, 3))))
+        return MeshTiling([tile], np.full(shape, BY_TILE), (none, none), (np.zeros((0, 3)), np.zeros((0, 3))))
     tile = make_tile(meshed.body, tiled.own.regular.tile, level, normals)
     made = _Cells(level, meshed, tiled.own, normals, tile, np.full(shape, ABSENT))
     cells = lattice.cells() if meshed.cells is None else meshed.cells
@@ -72,7 +72,7 @@ def own_tiling(level: float, meshed: BodyMesh, tiled: Tiled, normals: Normals) -
 
 @dataclass(eq=False)
 class _Cells:
-    """Collects the cells of a tiling; fields as in `Tiling`, each list by side."""
+    """Collects the cells of a tiling; fields as in `MeshTiling`, each list by side."""
 
     level: float
     meshed: BodyMesh
@@ -142,13 +142,13 @@ class _Cells:
             found[side] = z.min(), z.max(), np.hypot(slope[..., 0], slope[..., 1]).max()
         return found
 
-    def done(self) -> Tiling:
+    def done(self) -> MeshTiling:
         """Return the tiling."""
         lows, highs, slopes = np.moveaxis(np.array(self.reach or [self.tile.reach]), 2, 0)
         reach = np.stack([lows.min(axis=0), highs.max(axis=0), slopes.max(axis=0)], axis=1)
         height = tuple(np.concatenate([np.zeros(0, dtype=np.float32), *one]) for one in self.height)
         normal = tuple(np.concatenate([np.zeros((0, 3)), *one]) for one in self.normal)
-        return Tiling([replace(self.tile, reach=reach), *self.rare], self.first, height, normal)
+        return MeshTiling([replace(self.tile, reach=reach), *self.rare], self.first, height, normal)
 
 
 def told(

@@ -8,6 +8,7 @@ exactly as for smooth lenses.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
     from clacad.mesh.body_mesh import BodyMesh
     from clacad.mesh.land_ring import Tiled
     from clacad.mesh.prototile import Prototile
+
+    TilingMaker = Callable[[float, BodyMesh, Tiled, "Normals"], "MeshTiling"]
 
 
 Normals = Literal["facet", "vertex"]
@@ -42,7 +45,7 @@ ABSENT, BY_TILE = -1, -2
 
 
 class CellHeights(NamedTuple):
-    """Heights of the points of cells that differ and have one footprint: facets need no planes of their own.
+    """Heights of the points of those cells of a non-uniform sheet that have one footprint.
 
     first : (faces, n1, n2) ints
         Number of the first height of each cell on each face, or an entry below 0; rows as in `as_table`.
@@ -133,7 +136,7 @@ def refuse_many(count: int, most: int) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Tiling:
+class MeshTiling:
     """What the cells of one tiling of a body look like.
 
     tiles : The tile of equal footprints; then those of single cells.
@@ -147,42 +150,42 @@ class Tiling:
     normal: tuple[Floats, ...] = ()
 
 
-def lay_out_mesh(window: Window, mesh: Mesh, normals: Normals) -> tuple[Layout, Tiles]:
+def lay_out_mesh(
+    window: Window, mesh: Mesh, normals: Normals, own_tiling: TilingMaker | None = None
+) -> tuple[Layout, Tiles]:
     """Prepare a window and its mesh for tracing.
 
     window : Window that defines cells, land and baffle; the mesh defines heights.
     normals : "facet" or "vertex". Normals of the facets, or the exact normals at the vertices, interpolated.
+    own_tiling : `own_sheet.own_tiling`, for a non-uniform sheet.
     Raises ValueError: The mesh has other bodies than the window.
     """
     if [body.name for body in mesh.bodies] != [body.name for body in window.bodies]:
         raise ValueError("the mesh was made from a window with other bodies")
     exact = lay_out(window)
     tiles: list[Tile] = []
-    of, plans, sides = [], [], list[tuple[Tiling, int, int]]()
+    of, plans, sides = [], [], list[tuple[MeshTiling, int, int]]()
     for plan, meshed in zip(exact.bodies, mesh.bodies, strict=True):
-        found = [_tiling(plan.level, meshed, tiled, normals) for tiled in meshed.tiled]
+        make = uniform_tiling if own_tiling is None else own_tiling
+        found = [make(plan.level, meshed, tiled, normals) for tiled in meshed.tiled]
         starts = len(tiles) + np.cumsum([0, *(len(one.tiles) for one in found)])
         which = [next(k for k, one in enumerate(found) if _has(one.tiles[0], side)) for side in (0, 1)]
         of.append([int(starts[k]) for k in which])
         plans.append(_plan(plan, [one.tiles for one in found], which))
         sides += [(found[k], side, int(starts[k])) for side, k in enumerate(which)]
         tiles += [tile for one in found for tile in one.tiles]
-    own = None if window.uniform else _cell_heights(sides, tiles)
+    own = None if own_tiling is None else _cell_heights(sides, tiles)
     joined = _joined(tiles, np.array(of), own)
     bodies = (_tiled(plan, joined, one) for plan, one in zip(plans, of, strict=True))
     return replace(exact, bodies=tuple(bodies)), joined
 
 
-def _tiling(level: float, meshed: BodyMesh, tiled: Tiled, normals: Normals) -> Tiling:
-    """One tiling of a body at a level; of a non-uniform sheet with the heights of its cells."""
-    if meshed.window.uniform:
-        return Tiling([make_tile(meshed.body, tiled.maker.tile, level, normals)])
-    from clacad.tracing.facets.own_sheet import own_tiling
-
-    return own_tiling(level, meshed, tiled, normals)
+def uniform_tiling(level: float, meshed: BodyMesh, tiled: Tiled, normals: Normals) -> MeshTiling:
+    """One tiling, of identical cells, of a body at a level."""
+    return MeshTiling([make_tile(meshed.body, tiled.maker.tile, level, normals)])
 
 
-def _cell_heights(sides: list[tuple[Tiling, int, int]], tiles: list[Tile]) -> CellHeights:
+def _cell_heights(sides: list[tuple[MeshTiling, int, int]], tiles: list[Tile]) -> CellHeights:
     """Heights of all faces in one list: a tiling, one of its sides, and its first tile, face by face."""
     firsts, start = [], 0
     for tiling, side, tile in sides:

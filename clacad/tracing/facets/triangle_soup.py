@@ -271,7 +271,11 @@ def _laid_out(window: Window, mesh: AnyMesh | int, normals: Normals) -> Facets:
     elif isinstance(mesh, (str, os.PathLike)):
         mesh = read_soup(mesh, window)
     if not isinstance(mesh, TriangleSoup) and not any(place.turn for place in window.placements):
-        return Facets(*lay_out_mesh(window, mesh, normals))
+        if window.uniform:
+            return Facets(*lay_out_mesh(window, mesh, normals))
+        from clacad.tracing.facets.own_sheet import own_tiling
+
+        return Facets(*lay_out_mesh(window, mesh, normals, own_tiling))
     mesh = mesh if isinstance(mesh, TriangleSoup) else own_soup(mesh, normals)
     layout, triangles = lay_out_soup(window, mesh, normals)
     return Facets(layout if window.uniform else endless_layout(layout), triangles)
