@@ -123,7 +123,6 @@ def test_what_passes_array_2_beside_it_has_missed_the_sheet_and_comes_back_as_la
 
 OTHERS = {
     "aimed": lambda: sheet(),
-    "biconvex, baffle": lambda: sheet(BICONVEX, body={"baffle": True, "baffle_wall": 0.02}),
     "inside, seam": lambda: sheet(INSIDE, seam=0.06),
     "hexagonal": lambda: sheet(kind="hexagonal"),
     "hexagonal, seam": lambda: differing.window_of(
@@ -153,7 +152,7 @@ def of_all_kinds(window, n=4000):
     return clacad.Rays(at - 2.0 * way, way)
 
 
-@pytest.mark.ci_cases("biconvex, baffle-vertex", "hexagonal, seam-facet", "rims and steps-facet")
+@pytest.mark.ci_cases("two figures-vertex", "hexagonal, seam-facet", "rims and steps-facet")
 @pytest.mark.parametrize("normals", ["facet", pytest.param("vertex", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "name", ["aimed", *(pytest.param(n, marks=pytest.mark.slow) for n in OTHERS if n != "aimed")]
