@@ -97,7 +97,7 @@ class SheetTracer:
         ideal = {"law": 1, "thin": 2}.get(self.rung)
         faces = 2 * len(self.window.bodies) if ideal is None else IDEAL_FACES
         recorded = (ideal or faces) if record else 0
-        if self.facets is not None and not self.window.uniform:
+        if self.facets is not None and not (self.window.uniform or isinstance(self.facets.found_in, Tiles)):
             from clacad.tracing.facets.own_sheet import told
 
             layout, found_in = self.facets.layout, self.facets.found_in
@@ -175,7 +175,7 @@ class SheetTracer:
 
     def _tiles_in_numpy(self, rays: int, faces: int) -> bool:
         """Whether numpy traces a number of rays through a sheet's own mesh: if requested, or if few."""
-        if self.facets is None or not isinstance(self.facets.found_in, Tiles):
+        if self.facets is None or not isinstance(self.facets.found_in, Tiles) or not self.window.uniform:
             return False
         return self.path == "numpy" or (self.path == "size" and not worth_compiled(rays, faces))
 

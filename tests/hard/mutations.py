@@ -72,6 +72,7 @@ PLACES, LIKE, OWN, MIRROR = (
 )
 AIMED, MADE = "clacad/prescription/aimed_cells.py", "tests/prescription/test_aimed_cells.py"
 MESH, TRIANGLES = "clacad/tracing/facets/own_sheet.py", "tests/tracing/test_own_mesh.py"
+FACETS, LOOKED_UP = "clacad/tracing/facets/compiled_tiles.py", f"{TRIANGLES} -k 'looked_up and aimed-facet'"
 DIFFERING = "tests/hard/test_hard_differing.py"
 FAR_OUT, ROWS = (
     f"{DIFFERING} -m '' -k '({chosen}) and numpy'" for chosen in ("2e4 and 8000", "kappa or curl")
@@ -169,6 +170,9 @@ MUTATIONS = [
              f"{TRIANGLES} -k scaled_array"),
     Mutation("mesh: the end at a wall is a face met", MESH, "(hits[f] != end).any(axis=1)", "True", f"{TRIANGLES} -m '' -k 'kernels_count'"),
     Mutation("mesh: a body is risen past at its foot", MESH, "body.level + body.high", "body.level + body.low", f"{TRIANGLES} -m '' -k 'kernels_count'"),
+    Mutation("mesh: heights of the first point at every corner", FACETS, "own.height[first + own.corner[facet, 1]]", "own.height[first]", LOOKED_UP),
+    Mutation("mesh: the level forgotten", FACETS, "level = z - sheet.bodies", "level = z - 0.0 * sheet.bodies", LOOKED_UP),
+    Mutation("mesh: single cells as the regular one", MESH, "self.rare.append(self._single(batch, n))", "self.rare.append(self.tile)", f"{TRIANGLES} -m '' -k 'looked_up and (rims or figures)'"),
     Mutation("mesh: a ghost within array 1 forgotten", MESH, "order_of(walkers)", "walkers.last - walkers.first", f"{TRIANGLES} -m '' -k 'kernels_count'"),
     # -- colour
     Mutation("index: extrapolated beyond its range", "clacad/optics/material/material.py", "    if outside.any():\n", "    if False:\n", "tests/optics/test_material.py"),

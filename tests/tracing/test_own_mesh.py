@@ -5,6 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from hard import differing
 
 import clacad
 from clacad.effects import Setting, light_reaching_camera
@@ -12,6 +13,8 @@ from clacad.formats.mesh.stl import write_stl
 from clacad.mesh import tessellate
 from clacad.optics.rays import NO_CELL, Fate
 from clacad.sheet.cell_places import CellPlacement, VertexChange
+from clacad.storage.errors import LimitRefused
+from clacad.tracing.facets import own_sheet
 from clacad.tracing.facets.own_sheet import told
 from clacad.tracing.facets.triangle_soup import lay_out_soup, own_soup, read_soup
 
@@ -24,12 +27,10 @@ BICONVEX = {"form": "biconvex", "separation": 10, "index": 1.5, "offset": "parax
 INSIDE = {**AIMED["pair"], "curved": "inside"}
 
 
-def sheet(pair=None, **lattice):
-    """The aimed sheet, of another pair or lattice."""
-    pair = AIMED["pair"] if pair is None else pair
-    return clacad.prescribe(
-        clacad.Design.from_dict({**AIMED, "pair": pair, "lattice": {**AIMED["lattice"], **lattice}})
-    )
+def sheet(pair=None, body=None, **lattice):
+    """The aimed sheet, of another pair, body or lattice."""
+    keys = {"pair": pair or AIMED["pair"], "lattice": {**AIMED["lattice"], **lattice}}
+    return clacad.prescribe(clacad.Design.from_dict({**AIMED, **keys, **({"body": body} if body else {})}))
 
 
 def light(n=3000, wide=0.03):
@@ -106,16 +107,134 @@ def test_light_through_triangles_of_two_bodies_goes_where_that_through_their_fac
 
 
 @pytest.mark.slow
-def test_what_passes_array_2_beside_it_has_missed_the_sheet_and_comes_back_as_launched():
+@pytest.mark.parametrize("how", ["looked up", "in trees"])
+def test_what_passes_array_2_beside_it_has_missed_the_sheet_and_comes_back_as_launched(how):
     window, rays = sheet(), light(1500, 0.1)
     exact = clacad.trace(window, rays, path="numpy", record=True)
-    seen = clacad.trace(window, rays, rung="mesh", mesh=16, record=True)
+    mesh = 16 if how == "looked up" else own_soup(tessellate(window, quads=16), "facet")
+    seen = clacad.trace(window, rays, rung="mesh", mesh=mesh, record=True)
     beside = (exact.fate == Fate.MISSED) & (exact.cell != NO_CELL).all(axis=1) & (seen.fate == Fate.MISSED)
     assert beside.sum() > 50  # through lens 1, and past array 2
     for name in ("cell", "order", "surface", "optical_path", "position", "direction"):
         assert (getattr(seen, name) == getattr(exact, name))[beside].all(), name
     for name in ("hits", "directions"):
         assert (getattr(seen, name) == getattr(exact, name))[:, beside].all(), name
+
+
+OTHERS = {
+    "aimed": lambda: sheet(),
+    "inside, seam": lambda: sheet(INSIDE, seam=0.06),
+    "hexagonal": lambda: sheet(kind="hexagonal"),
+    "hexagonal, seam": lambda: differing.window_of(
+        {
+            **differing.aimed(-400.0),
+            "lattice.kind": "hexagonal",
+            "lattice.seam": 0.02,
+            "lattice.count": [9, 9],
+        }
+    ),
+    "tilted lenses": lambda: differing.window_of({**differing.TILTED, **differing.aimed(-400.0)}),
+    "rims and steps": lambda: differing.window_of(differing.LEANING),
+    "two figures": lambda: differing.window_of({**differing.BICONVEX, **differing.OWN}),
+    "axes of their own": lambda: differing.window_of({"etas": differing.turning(7.0)}),
+}
+
+
+def of_all_kinds(window, n=4000):
+    """Rays of the viewer, oblique ones, and some past the edge of the sheet."""
+    rng = np.random.default_rng(1)
+    x0, x1, y0, y1 = window.lattice.extent()
+    at = np.column_stack([rng.uniform((1.1 * x0, 1.1 * y0), (1.1 * x1, 1.1 * y1), (n, 2)), np.zeros(n)])
+    slope = at[:, :2] / 400.0 + rng.normal(0.0, 0.004, (n, 2))
+    slope[: n // 4] = rng.normal(0.0, 0.3, (n // 4, 2))
+    slope[n // 4 : n // 2] = rng.normal(0.0, 0.03, (n // 4, 2))
+    way = np.column_stack([slope, np.ones(n)])
+    return clacad.Rays(at - 2.0 * way, way)
+
+
+@pytest.mark.ci_cases("two figures-vertex", "hexagonal, seam-facet", "rims and steps-facet")
+@pytest.mark.parametrize("normals", ["facet", pytest.param("vertex", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["aimed", *(pytest.param(n, marks=pytest.mark.slow) for n in OTHERS if n != "aimed")]
+)
+def test_facets_looked_up_are_those_that_a_search_of_all_triangles_finds(name, normals):
+    """Every column of every ray but the place where one ends at a side wall: a polygon's there, a circle's here."""
+    window = OTHERS[name]()
+    rays, mesh = of_all_kinds(window), tessellate(window, quads=3)
+    tracer = clacad.Tracer(window, rung="mesh", mesh=mesh, normals=normals)
+    assert tracer.bare.facets.found_in.own is not None
+    seen = tracer(rays)
+    found = clacad.trace(window, rays, rung="mesh", mesh=own_soup(mesh, normals), normals=normals)
+    for column in ("fate", "cell", "order", "surface"):
+        assert (getattr(seen, column) == getattr(found, column)).all(), column
+    assert len(np.unique(seen.fate)) >= 3
+    through = seen.fate <= Fate.LAND
+    assert np.abs(seen.direction - found.direction)[through].max() < 1e-11
+    for column in ("position", "optical_path"):
+        assert np.abs(getattr(seen, column) - getattr(found, column))[through].max() < 1e-8, column
+
+
+def met_by(triangles, start, way):
+    """Facets that one ray meets, edges and corners included, by Cramer's rule: their numbers and distances."""
+    a, b, c = triangles.transpose(1, 0, 2)
+    matrix = np.stack([b - a, c - a, np.broadcast_to(-way, a.shape)], axis=2)
+    flat = np.abs(np.linalg.det(matrix)) > 1e-14
+    u, v, t = np.linalg.solve(matrix[flat], (start - a[flat])[..., None])[..., 0].T
+    held = (u > -1e-9) & (v > -1e-9) & (u + v < 1.0 + 1e-9) & (t > 0.0)
+    return np.flatnonzero(flat)[held], t[held]
+
+
+def bent(way, normal, n1, n2):
+    """Direction of a ray behind a facet, by Snell's law for vectors."""
+    normal = normal / np.linalg.norm(normal) * np.sign(normal @ way)
+    across = n1 / n2 * (way - (way @ normal) * normal)
+    return across + np.sqrt(1.0 - across @ across) * normal
+
+
+def directions_of(triangles, start, way):
+    """All directions in which a ray may leave a body of index 1.5, whichever facet an edge belongs to."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    found = []
+    facets, far = met_by(triangles, start, way)
+    for k, t in zip(facets[far < far.min() + 1e-9], far[far < far.min() + 1e-9]):
+        inner, at = bent(way, normals[k], 1.0, 1.5), start + t * way
+        inside, far_in = met_by(triangles, at + 1e-6 * inner, inner)
+        found += [bent(inner, normals[m], 1.5, 1.0) for m in inside[far_in < far_in.min() + 1e-6]]
+    return np.array(found)
+
+
+def test_light_through_corners_and_edges_of_facets_leaves_by_one_of_the_facets_there():
+    window = sheet({"form": "slab", "separation": 10, "index": 1.5})
+    mesh = tessellate(window, quads=4)
+    (body,) = mesh.bodies
+    triangles = np.concatenate(list(body.rows()))
+    i, j = np.meshgrid(np.arange(-3, 4), np.arange(-3, 4))
+    at = np.column_stack([i.ravel(), j.ravel()]) * 0.0625  # corners, edges and diagonals of squares of .125
+    at = at + window.lattice.centres(np.array([2, 2]))
+    rays = clacad.Rays(np.column_stack([at, np.full(len(at), -2.0)]), np.tile([0.0, 0.0, 1.0], (len(at), 1)))
+    seen = clacad.trace(window, rays, rung="mesh", mesh=mesh)
+    assert (seen.fate <= Fate.GHOST).all()
+    for k in range(len(at)):
+        wanted = directions_of(triangles, rays.position[k], rays.direction[k])
+        assert np.abs(wanted - seen.direction[k]).max(axis=1).min() < 1e-11
+
+
+def test_rays_without_a_way_through_facets_have_the_fates_of_the_faces():
+    window = sheet()
+    at = np.array([0.1, 0.1, -2.0])
+    ways = np.array(
+        [[np.nan, 0, 1], [0, 0, 0], [1, 0, 0], [0, 0, -1], [1, 0, 1e-9], [1, 1e-3, 1e-3], [0, 0, np.inf]]
+    )
+    rays = clacad.Rays(np.tile(at, (len(ways), 1)), ways)
+    seen = clacad.trace(window, rays, rung="mesh", mesh=4)
+    assert (seen.fate == clacad.trace(window, rays, path="numpy").fate).all()
+    assert set(seen.fate.tolist()) == {Fate.INVALID, Fate.MISSED}
+
+
+def test_heights_of_more_facets_than_are_held_are_refused(monkeypatch):
+    monkeypatch.setattr(own_sheet, "MOST_LOOKED_UP", 100)
+    with pytest.raises(LimitRefused, match="fewer quads or fewer cells"):
+        clacad.trace(sheet(), light(10), rung="mesh", mesh=4)
 
 
 SAME = {

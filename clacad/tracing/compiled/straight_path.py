@@ -724,9 +724,9 @@ def straight(
             climb = _least_climb(face, other, columnar)
             vx, vy, vz = face[slot.VX], face[slot.VY], face[slot.VZ]
             if tiles is not None:
-                cross_facets(tiles, faces, f, s, m, media, climb, (ox, oy, oz))
+                cross_facets(tiles, sheet, f, s, m, media, climb, (ox, oy, oz))
                 if structured:
-                    hold_in_zone(lat, s, m, lat[slot.MARGIN], 0.0, 0.0)
+                    hold_in_zone(sheet.lattices[int(face[slot.ARRAY])], s, m, lat[slot.MARGIN], 0.0, 0.0)
             else:
                 if f or line <= 0:
                     _into_lens(own, sheet, f, s, m, (ox - vx, oy - vy, oz - vz))

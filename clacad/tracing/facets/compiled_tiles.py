@@ -18,7 +18,26 @@ from clacad.base.compiled import exact, inlined, least
 from clacad.base.types import Floats, Ints
 from clacad.optics.ledger import ABOVE, ASIDE, BACK, BACK_LAND, FRONT, FRONT_LAND, WALL
 from clacad.tracing.compiled import packing as slot
-from clacad.tracing.compiled.block import DX, DY, DZ, GOOD, GX, GY, GZ, HALF, PATH, RANGE, X, Y, Z, lanes
+from clacad.tracing.compiled.array_cells import place_in_row
+from clacad.tracing.compiled.block import (
+    AX,
+    CI,
+    CJ,
+    DX,
+    DY,
+    DZ,
+    GOOD,
+    GX,
+    GY,
+    GZ,
+    HALF,
+    PATH,
+    RANGE,
+    X,
+    Y,
+    Z,
+    lanes,
+)
 from clacad.tracing.compiled.cells import kept
 from clacad.tracing.compiled.column import (
     border_ahead,
@@ -47,9 +66,11 @@ from clacad.tracing.compiled.records import (
     Vector,
 )
 from clacad.tracing.facets.tiles import (
+    ABSENT,
     BIN,
     BINS_X,
     BINS_Y,
+    BY_TILE,
     LAND,
     LENS,
     LOW_X,
@@ -58,6 +79,7 @@ from clacad.tracing.facets.tiles import (
     PER_Y,
     SPLIT,
     VOID,
+    CellHeights,
     Tiles,
 )
 
@@ -90,35 +112,96 @@ def locate_facet(tiles: Tiles, tile: int, x: float, y: float) -> int:
     return best
 
 
+@inlined
+def _first_of(own: CellHeights | None, sheet: Packed, f: int, i: float, j: float) -> int:
+    """Entry of a cell in `CellHeights.first`; of identical cells ABSENT, which is not read."""
+    if own is None:
+        return ABSENT
+    return _own_first(own, sheet, f, i, j)
+
+
 @exact
-def facet_normal(tiles: Tiles, facet: int, side: int, x: float, y: float) -> tuple[float, float, float]:
+def _own_first(own: CellHeights, sheet: Packed, f: int, i: float, j: float) -> int:
+    if not kept(sheet.lattice, sheet.rows, i, j):
+        return ABSENT
+    return int(own.first[f, place_in_row(sheet.lattice, i, j), int(j)])
+
+
+@inlined
+def _tile_of(tiles: Tiles, own: CellHeights | None, sheet: Packed, f: int, i: float, j: float) -> int:
+    """Tile over a cell on face f; −1 for a cell that is not in the mesh."""
+    tile = int(tiles.of[f // 2, f % 2])
+    if own is None:
+        return tile
+    first = _own_first(own, sheet, f, i, j)
+    return tile if first >= 0 else BY_TILE - first
+
+
+@inlined
+def plane_of(tiles: Tiles, own: CellHeights | None, sheet: Packed, f: int, first: int, facet: int) -> Vector:
+    """Height a x + b y + c of a facet of face f over the body's level, in the cell whose entry is `first`."""
+    if own is None:
+        side = f % 2
+        return tiles.plane[facet, side, 0], tiles.plane[facet, side, 1], tiles.plane[facet, side, 2]
+    return _own_plane(tiles, own, sheet, f, first, facet)
+
+
+@exact
+def _own_plane(tiles: Tiles, own: CellHeights, sheet: Packed, f: int, first: int, facet: int) -> Vector:
+    side = f % 2
+    if first < 0 or tiles.part[facet, side] != LENS:
+        return tiles.plane[facet, side, 0], tiles.plane[facet, side, 1], tiles.plane[facet, side, 2]
+    z = 1.0 * own.height[first + own.corner[facet, 0]]
+    u = 1.0 * own.height[first + own.corner[facet, 1]] - z  # heights are multiples of one step: exact
+    v = 1.0 * own.height[first + own.corner[facet, 2]] - z
+    p, q = tiles.weight[facet, 1], tiles.weight[facet, 2]
+    level = z - sheet.bodies[f // 2, slot.LEVEL]
+    return u * p[0] + v * q[0], u * p[1] + v * q[1], level + (u * p[2] + v * q[2])
+
+
+@exact
+def facet_normal(tiles: Tiles, sheet: Packed, f: int, first: int, facet: int, x: float, y: float) -> Vector:
     """Normal towards +z: the facet's, or that of its corners interpolated at a point."""
+    side = f % 2
     if len(tiles.normal) == 0 or tiles.part[facet, side] != LENS:
-        return -tiles.plane[facet, side, 0], -tiles.plane[facet, side, 1], 1.0
+        a, b, _ = plane_of(tiles, tiles.own, sheet, f, first, facet)
+        return -a, -b, 1.0
     gx, gy, gz = 0.0, 0.0, 0.0
     for k in range(3):
         w = tiles.weight[facet, k]
         share = w[0] * x + w[1] * y + w[2]
-        n = tiles.normal[facet, side, k]
-        gx, gy, gz = gx + share * n[0], gy + share * n[1], gz + share * n[2]
+        nx, ny, nz = _corner_normal(tiles, tiles.own, side, first, facet, k)
+        gx, gy, gz = gx + share * nx, gy + share * ny, gz + share * nz
     return gx, gy, gz
+
+
+@inlined
+def _corner_normal(
+    tiles: Tiles, own: CellHeights | None, side: int, first: int, facet: int, k: int
+) -> Vector:
+    """Exact normal at corner k of a facet."""
+    n = tiles.normal[facet, side, k]
+    if own is not None and first >= 0:
+        n = own.normal[first + own.corner[facet, k]]
+    return n[0], n[1], n[2]
 
 
 # -- the walk ----------------------------------------------------------------------------------
 @exact
 def _levels(
-    tiles: Tiles, faces: Floats, row: int, at: int, causes: Ints, work: Floats, dx: float, dy: float
+    tiles: Tiles, sheet: Packed, row: int, at: int, causes: Ints, work: Floats, dx: float, dy: float
 ) -> tuple[float, float]:
     """Height of a face at the start and its rise along the ray, in the ray's present column; NaN for none."""
+    faces = sheet.faces
     if faces[row, slot.ARRAY] < 0.0:
         return faces[row, slot.LOW], 0.0
     f = causes[FACET + at]
     if f < 0:
         return faces[row, slot.LAND], 0.0
-    side = row % 2
-    if tiles.part[f, side] == VOID:
+    if tiles.part[f, row % 2] == VOID:
         return nan, 0.0
-    a, b, c = tiles.plane[f, side, 0], tiles.plane[f, side, 1], tiles.plane[f, side, 2]
+    first = _first_of(tiles.own, sheet, row, work[CELL + 2 * at], work[CELL + 2 * at + 1])
+    a, b, c = plane_of(tiles, tiles.own, sheet, row, first, f)
     return a * work[START + 2 * at] + b * work[START + 2 * at + 1] + c, a * dx + b * dy
 
 
@@ -211,19 +294,17 @@ def _next_edge(
         at = int(sheet.bodies[b, slot.CELLS + k])
         if at < 0:
             continue
-        u, v = enter_cell(lat, at, work)
+        u, v = enter_cell(sheet.lattices[at], at, work)
         if causes[FACET + at] == NOT_LOOKED_UP:
             causes[FACET + at] = NONE
-            if kept(lat, sheet.rows, work[CELL + 2 * at], work[CELL + 2 * at + 1]):
+            i, j = work[CELL + 2 * at], work[CELL + 2 * at + 1]
+            face = 2 * b + (k if at == int(sheet.faces[2 * b + k, slot.ARRAY]) else 1 - k)
+            tile = _tile_of(tiles, tiles.own, sheet, face, i, j)
+            if tile >= 0 and kept(lat, sheet.rows, i, j):
                 # slightly into the piece, so that a ray along an edge is in the facet it goes to
                 t = entered + 2.0 * lat[slot.TINY]
-                causes[FACET + at] = locate_facet(
-                    tiles,
-                    tiles.of[b, k if at == int(sheet.faces[2 * b + k, slot.ARRAY]) else 1 - k],
-                    u + t * ray.L,
-                    v + t * ray.M,
-                )
-        t, n, towards = border_ahead(lat, ray, u, v, end)
+                causes[FACET + at] = locate_facet(tiles, tile, u + t * ray.L, v + t * ray.M)
+        t, n, towards = border_ahead(sheet.lattices[at], ray, u, v, end)
         if n >= 0:
             end, across, edge, of, sense = t, n, -1, at, towards
         f = causes[FACET + at]
@@ -267,8 +348,8 @@ def _first_stretch(
     entered, end, since, cause = span
     sx, sy, z, L, M, N = ray
     main, front_at, back_at = int(bodies[b, slot.ENTRY]), _array_of(sheet, b, 0), _array_of(sheet, b, 1)
-    low, low_rise = _levels(tiles, faces, 2 * b, front_at, causes, work, L, M)
-    high, high_rise = _levels(tiles, faces, 2 * b + 1, back_at, causes, work, L, M)
+    low, low_rise = _levels(tiles, sheet, 2 * b, front_at, causes, work, L, M)
+    high, high_rise = _levels(tiles, sheet, 2 * b + 1, back_at, causes, work, L, M)
     work[0], causes[0] = (low - z) / (N - low_rise), _kind(tiles, faces, 2 * b, causes[FACET + front_at])
     work[1], causes[1] = (high - z) / (N - high_rise), _kind(tiles, faces, 2 * b + 1, causes[FACET + back_at])
     count = 2
@@ -299,14 +380,14 @@ def _normal_met(
     kind, t = met
     if kind != FRONT and kind != BACK:
         return 0.0, 0.0, 1.0
-    side = 0 if kind == FRONT else 1
-    at = _array_of(sheet, b, side)
-    f = causes[FACET + at]
-    if f < 0:
+    f = 2 * b + (0 if kind == FRONT else 1)
+    at = _array_of(sheet, b, f % 2)
+    facet = causes[FACET + at]
+    if facet < 0:
         return 0.0, 0.0, 1.0
-    return facet_normal(
-        tiles, f, side, work[START + 2 * at] + t * ray.L, work[START + 2 * at + 1] + t * ray.M
-    )
+    first = _first_of(tiles.own, sheet, f, work[CELL + 2 * at], work[CELL + 2 * at + 1])
+    x, y = work[START + 2 * at] + t * ray.L, work[START + 2 * at + 1] + t * ray.M
+    return facet_normal(tiles, sheet, f, first, facet, x, y)
 
 
 SquareGrid = tuple[float, float, float, float, float, float, float, float]
@@ -319,7 +400,7 @@ TRIES = 8
 @exact
 def cross_facets(
     tiles: Tiles,
-    faces: Floats,
+    sheet: Packed,
     f: int,
     s: Floats,
     m: int,
@@ -328,21 +409,32 @@ def cross_facets(
     origin: Vector,
 ) -> None:
     """Cross one face of facets; positions plus the origin are relative to cell and level, then without it."""
+    faces, own = sheet.faces, tiles.own
     x, y, z = lanes(s, (X, Y, Z))
     ox, oy, oz = origin
     for i in range(m):
         x[i], y[i], z[i] = x[i] + ox, y[i] + oy, z[i] + oz
-    side = f % 2
-    tile = tiles.of[f // 2, side]
+    tile = tiles.of[f // 2, f % 2]
     row = tiles.table[tile]
     level = 0.5 * (faces[f, slot.LOW] + faces[f, slot.HIGH])
+    _find_cells(own, sheet, f, tile, s, m)
     to_level(_squares_of(row), 0.0, s, m, level)
-    _planes_of_bins(tiles, side, s, m)
-    _to_planes(row, s, m)
-    _planes_of_bins(tiles, side, s, m)
-    _to_planes(row, s, m)
-    _settle(tiles, tile, side, level, s, m)
+    for _ in range(2):
+        _planes_of_bins(tiles, own, sheet, f, s, m)
+        _to_planes(row, s, m)
+    _settle(tiles, own, sheet, f, level, s, m)
     _refract_facets(s, m, media[0], media[1], climb)
+
+
+@inlined
+def _find_cells(own: CellHeights | None, sheet: Packed, f: int, tile: int, s: Floats, m: int) -> None:
+    """Entries of the rays' cells; cells of another tile are left to the walk."""
+    if own is not None:
+        for i in range(m):
+            first = _own_first(own, sheet, f, s[CI, i], s[CJ, i]) if s[GOOD, i] > 0.0 else BY_TILE - tile
+            if first < 0 and first != BY_TILE - tile:
+                s[GOOD, i] = 0.0
+            s[AX, i] = first
 
 
 @exact
@@ -375,12 +467,18 @@ def half_bin(u: float, v: float, nx: float, ny: float, first: float, split: floa
     return 2.0 * (first + j * nx + i) + (1.0 if beyond else 0.0)
 
 
-@exact
-def _planes_of_bins(tiles: Tiles, side: int, s: Floats, m: int) -> None:
+@inlined
+def _planes_of_bins(tiles: Tiles, own: CellHeights | None, sheet: Packed, f: int, s: Floats, m: int) -> None:
     """Load the planes over the present half bins of rays; NaN where there is no such facet."""
+    side = f % 2
     for i in range(m):
         h = int(s[HALF, i])
         s[GX, i], s[GY, i], s[GZ, i] = tiles.lens[h, side, 0], tiles.lens[h, side, 1], tiles.lens[h, side, 2]
+    if own is not None:
+        for i in range(m):
+            first, facet = int(s[AX, i]), tiles.half[int(s[HALF, i])]
+            if first >= 0 and facet >= 0 and tiles.part[facet, side] == LENS:
+                s[GX, i], s[GY, i], s[GZ, i] = _own_plane(tiles, own, sheet, f, first, facet)
 
 
 @exact
@@ -399,34 +497,38 @@ def _to_planes(row: Floats, s: Floats, m: int) -> None:
 
 
 @exact
-def _settle(tiles: Tiles, tile: int, side: int, level: float, s: Floats, m: int) -> None:
+def _settle(
+    tiles: Tiles, own: CellHeights | None, sheet: Packed, f: int, level: float, s: Floats, m: int
+) -> None:
     """Fill in the normals; look up one by one the rays whose facet is not certain."""
     gx, gy, gz, far = lanes(s, (GX, GY, GZ, RANGE))
     for i in range(m):
         gx[i], gy[i], gz[i] = -gx[i], -gy[i], 1.0
-    smooth = len(tiles.normal) > 0
+    smooth, tile = len(tiles.normal) > 0, tiles.of[f // 2, f % 2]
     for i in range(m):
         if not (smooth or isnan(far[i])) or not s[GOOD, i] > 0.0:
             continue
         x, y, z, u, v, w = s[X, i], s[Y, i], s[Z, i], s[DX, i], s[DY, i], s[DZ, i]
-        facet = tiles.half[int(s[HALF, i])]
+        facet, first = tiles.half[int(s[HALF, i])], ABSENT
+        if own is not None:
+            first = int(s[AX, i])
         if isnan(far[i]):
             t = (level - z) / w
             guess = locate_facet(tiles, tile, x + t * u, y + t * v) if facet < 0 else facet
-            facet, far[i] = _facet_met(tiles, tile, side, guess, Ray(x, y, z, u, v, w))
+            facet, far[i] = _facet_met(tiles, sheet, f, first, guess, Ray(x, y, z, u, v, w))
             if facet < 0:
                 s[GOOD, i] = 0.0
                 continue
-        gx[i], gy[i], gz[i] = facet_normal(tiles, facet, side, x + far[i] * u, y + far[i] * v)
+        gx[i], gy[i], gz[i] = facet_normal(tiles, sheet, f, first, facet, x + far[i] * u, y + far[i] * v)
 
 
 @exact
-def _facet_met(tiles: Tiles, tile: int, side: int, guess: int, ray: Ray) -> tuple[int, float]:
+def _facet_met(tiles: Tiles, sheet: Packed, f: int, first: int, guess: int, ray: Ray) -> tuple[int, float]:
     """Facet that one ray meets, and where; −1 if it is not found, or no part of the lens."""
     x, y, z, u, v, w = ray
     facet = guess
     for _ in range(TRIES):
-        a, b, c = tiles.plane[facet, side, 0], tiles.plane[facet, side, 1], tiles.plane[facet, side, 2]
+        a, b, c = plane_of(tiles, tiles.own, sheet, f, first, facet)
         t = (c + a * x + b * y - z) / (w - a * u - b * v)
         if isnan(t):
             break
@@ -436,8 +538,8 @@ def _facet_met(tiles: Tiles, tile: int, side: int, guess: int, ray: Ray) -> tupl
             e = tiles.weight[facet, k]
             inside &= e[0] * p + e[1] * q + e[2] >= 0.0
         if inside:
-            return (facet, t) if tiles.part[facet, side] == LENS else (-1, t)
-        facet = locate_facet(tiles, tile, p, q)
+            return (facet, t) if tiles.part[facet, f % 2] == LENS else (-1, t)
+        facet = locate_facet(tiles, tiles.of[f // 2, f % 2], p, q)
     return -1, np.nan
 
 

@@ -1,25 +1,154 @@
-"""Rung "mesh" of a non-uniform sheet: light through all triangles, with the cells found afterwards.
+"""Rung "mesh" of a non-uniform sheet.
 
-The trees that find triangles know no cells, and the kernels above them assume cells of one pitch. Light is
-therefore traced through the triangles as if they belonged to a uniform sheet without an end
+*Its own mesh.* Nearly all cells of a tiling have one footprint; their facets differ in the heights of their
+corners alone, which are looked up by cell and point (`tiles.CellHeights`). Cells with other footprints, where
+faces end or cross within a cell or on its border, are tiles of their own.
+
+*Triangles from any source, and arrays that are turned.* The trees that find triangles know no cells. Light is
+traced through the triangles as if they belonged to a uniform sheet without an end
 (`triangle_soup.endless_layout`). The cells of every ray are then found from the points where it met the
 arrays, in the order in which it met them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clacad.base.pairs import two_sum
-from clacad.base.types import Bools, Floats, Ints
+from clacad.base.types import Bools, Floats, Ints, Singles
 from clacad.optics.rays import NO_CELL, Fate, Rays, TraceResult
-from clacad.sheet.window import Window
+from clacad.sheet.cell_places import places_in_rows
+from clacad.sheet.window import Window, heights_and_normals_of_lenses
+from clacad.tracing.facets.tiles import (
+    ABSENT,
+    BY_TILE,
+    LENS,
+    MeshTiling,
+    Normals,
+    Tile,
+    make_tile,
+    refuse_many,
+    weights_of,
+)
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, colours, lay_out
 from clacad.tracing.reference.face import in_footprint, on_line
 from clacad.tracing.reference.launch import Beam
 from clacad.tracing.reference.walk import Walkers, note_cell, order_of
+
+if TYPE_CHECKING:
+    from clacad.mesh.body_mesh import BodyMesh
+    from clacad.mesh.cell_batch import CellBatch, OwnMeshCells
+    from clacad.mesh.land_ring import Tiled
+
+BATCH = 200_000
+"""Facets of the cells whose heights are computed together, about: some megabytes."""
+
+MOST_LOOKED_UP = 200_000_000
+"""Largest number of facets of a tiling whose heights are held: about 2 bytes each, 14 with normals."""
+
+MOST_CELLS = 4096
+"""Largest number of these cells."""
+
+
+def own_tiling(level: float, meshed: BodyMesh, tiled: Tiled, normals: Normals) -> MeshTiling:
+    """Tiles, and heights of the cells, of one tiling of a body of a non-uniform sheet at a level."""
+    lattice, none = meshed.window.lattice, np.zeros(0, dtype=np.float32)
+    shape = (2, *lattice.count)
+    if tiled.own is None:
+        tile = make_tile(meshed.body, tiled.maker.tile, level, normals)
+        return MeshTiling([tile], np.full(shape, BY_TILE), (none, none), (np.zeros((0, 3)), np.zeros((0, 3))))
+    tile = make_tile(meshed.body, tiled.own.regular.tile, level, normals)
+    made = _Cells(level, meshed, tiled.own, normals, tile, np.full(shape, ABSENT))
+    cells = lattice.cells() if meshed.cells is None else meshed.cells
+    refuse_many(len(cells) * len(tile.corners), MOST_LOOKED_UP // (1 if normals == "facet" else 7))
+    many = max(1, min(MOST_CELLS, BATCH // len(tile.corners)))
+    for first in range(0, len(cells), many):
+        made.add(cells[first : first + many])
+    return made.done()
+
+
+@dataclass(eq=False)
+class _Cells:
+    """Collects the cells of a tiling; fields as in `MeshTiling`, each list by side."""
+
+    level: float
+    meshed: BodyMesh
+    own: OwnMeshCells
+    normals: Normals
+    tile: Tile
+    first: Ints
+    count: list[int] = field(default_factory=lambda: [0, 0])
+    height: tuple[list[Singles], list[Singles]] = field(default_factory=lambda: ([], []))
+    normal: tuple[list[Floats], list[Floats]] = field(default_factory=lambda: ([], []))
+    rare: list[Tile] = field(default_factory=list)
+    reach: list[Floats] = field(default_factory=list)
+
+    def add(self, cells: Ints) -> None:
+        """Add cells (n, 2) of the tiling."""
+        own, window, body = self.own, self.meshed.window, self.meshed.body
+        batch = own.batch(cells)
+        alike = batch.regular & (batch.xy == own.regular.maker.xy).all(axis=(1, 2))
+        at = places_in_rows(window.lattice, cells), cells[:, 1]
+        for n in np.flatnonzero(~alike).tolist():
+            self.rare.append(self._single(batch, n))
+            self.first[:, at[0][n], at[1][n]] = BY_TILE - len(self.rare)
+        heights, held = batch.own[alike] * own.base.step, own.base.held
+        for side, face in enumerate((body.front, body.back)):
+            here = self.first[side]
+            if held[side] or not own.base.meshed()[side]:
+                here[at[0][alike], at[1][alike]] = BY_TILE
+                continue
+            here[at[0][alike], at[1][alike]] = self._numbered(side, heights[..., side])
+            if self.normals == "vertex":
+                xy = own.regular.tile.plan.xy
+                places = window.lenses(face, cells[alike][:, None])
+                seen = np.broadcast_to(xy, (int(alike.sum()), *xy.shape))
+                up = heights_and_normals_of_lenses(face, places, seen[..., 0], seen[..., 1])[1]
+                self.normal[side].append(up.reshape(-1, 3))
+        if alike.any():
+            self.reach.append(self._reach(heights - self.level))
+
+    def _single(self, batch: CellBatch, n: int) -> Tile:
+        """Tile of cell n of a batch, whose footprint is its own."""
+        own, (i, j) = self.own, batch.cells[n].tolist()
+        body = own.rare.body_at((i, j)) if self.normals == "vertex" else self.meshed.body
+        if not batch.regular[n]:
+            return make_tile(body, own.rare.at((i, j)).tile, self.level, self.normals)
+        tile, lattice = own.regular.tile, self.meshed.window.lattice_of(own.base.tiling.array)
+        steps = lattice.centres(own.regular.maker.places[0]) - lattice.centres(np.zeros(2, dtype=np.int64))
+        plan = replace(tile.plan, xy=batch.xy[n] + steps)
+        return make_tile(body, replace(tile, plan=plan, lens=batch.own[n]), self.level, self.normals)
+
+    def _numbered(self, side: int, heights: Floats) -> Ints:
+        """Keep heights (n, p) of one side; the numbers (n,) of their first."""
+        cells, points = heights.shape
+        first: Ints = self.count[side] + points * np.arange(cells)
+        self.height[side].append(heights.astype(np.float32).ravel())
+        self.count[side] += cells * points
+        return first
+
+    def _reach(self, heights: Floats) -> Floats:
+        """`Tile.reach` (2, 3) of cells with heights (n, p, 2) over the body's level."""
+        found = np.array(self.tile.reach)
+        weight = weights_of(self.tile.corners)[:, 1:, :2]
+        for side in (0, 1):
+            lens = self.tile.part[:, side] == LENS
+            z = heights[..., side][:, self.tile.triangles[lens]]
+            rise = np.stack([z[..., 1] - z[..., 0], z[..., 2] - z[..., 0]], axis=-1)
+            slope = np.einsum("nmk,mkc->nmc", rise, weight[lens])
+            found[side] = z.min(), z.max(), np.hypot(slope[..., 0], slope[..., 1]).max()
+        return found
+
+    def done(self) -> MeshTiling:
+        """Return the tiling."""
+        lows, highs, slopes = np.moveaxis(np.array(self.reach or [self.tile.reach]), 2, 0)
+        reach = np.stack([lows.min(axis=0), highs.max(axis=0), slopes.max(axis=0)], axis=1)
+        height = tuple(np.concatenate([np.zeros(0, dtype=np.float32), *one]) for one in self.height)
+        normal = tuple(np.concatenate([np.zeros((0, 3)), *one]) for one in self.normal)
+        return MeshTiling([replace(self.tile, reach=reach), *self.rare], self.first, height, normal)
 
 
 def told(

@@ -8,19 +8,25 @@ exactly as for smooth lenses.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from clacad.base.types import Floats, Ints
+from clacad.base.types import Bools, Floats, Ints
 from clacad.sheet.window import PLANE, Body, Face, Window, lens_height_and_normal
+from clacad.storage.errors import LimitRefused
 from clacad.tracing.layout import BodyPlan, FacePlan, Layout, lay_out
 
 if TYPE_CHECKING:
     from clacad.mesh import Mesh
+    from clacad.mesh.body_mesh import BodyMesh
+    from clacad.mesh.land_ring import Tiled
     from clacad.mesh.prototile import Prototile
+
+    TilingMaker = Callable[[float, BodyMesh, Tiled, "Normals"], "MeshTiling"]
 
 
 Normals = Literal["facet", "vertex"]
@@ -32,6 +38,26 @@ BEYOND = 2**59
 # Columns of a tile's row: first facet, first bin, bins in x and y, corner of the grid, bins per length,
 # diagonal.
 FIRST, BIN, BINS_X, BINS_Y, LOW_X, LOW_Y, PER_X, PER_Y, SPLIT, TILE_NUMBERS = range(10)
+
+
+ABSENT, BY_TILE = -1, -2
+"""Entries of `CellHeights.first` below 0: no such cell in the mesh; BY_TILE − k: the planes of tile k."""
+
+
+class CellHeights(NamedTuple):
+    """Heights of the points of those cells of a non-uniform sheet that have one footprint.
+
+    first : (faces, n1, n2) ints
+        Number of the first height of each cell on each face, or an entry below 0; rows as in `as_table`.
+    height : (k,) float32. In the sheet frame, point by point; a mesh's heights are exact in this precision.
+    corner : (m, 3) ints. Points at the corners of each facet.
+    normal : (k, 3) or (0, 3). Exact unit normals towards +z at the points, for normals = "vertex".
+    """
+
+    first: Ints
+    height: NDArray[np.float32]
+    corner: Ints
+    normal: Floats
 
 
 class Tiles(NamedTuple):
@@ -52,6 +78,7 @@ class Tiles(NamedTuple):
     lens : (2 bins, 2, 3). Planes of those facets where they belong to the lens, NaN elsewhere.
     normal : (m, 2, 3, 3) or (0, 2, 3, 3)
         Unit normals towards +z of front and back at the facet's corners, for normals = "vertex".
+    own : None on a uniform sheet: kernels are then compiled without the code that reads it.
     """
 
     table: Floats
@@ -65,6 +92,7 @@ class Tiles(NamedTuple):
     half: Ints
     lens: Floats
     normal: Floats
+    own: CellHeights | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +109,12 @@ class TiledFace(FacePlan):
 
 
 @dataclass(frozen=True, eq=False)
-class _Tile:
+class Tile:
     """One tiling of one body, facets in the cell frame.
 
     corners : (m, 3, 2) lengths, heights : (m, 3, 2) front and back at the corners over the body's level
     land : heights of the land as meshed, NaN where there is none
+    reach : (2, 3). Of front and back: lowest and highest point, and steepest slope of the lens.
     """
 
     corners: Floats
@@ -94,29 +123,81 @@ class _Tile:
     part: NDArray[np.uint8]
     normal: Floats
     land: tuple[float, float]
+    reach: Floats
 
 
-def lay_out_mesh(window: Window, mesh: Mesh, normals: Normals) -> tuple[Layout, Tiles]:
+def refuse_many(count: int, most: int) -> None:
+    """Reject a mesh with too many triangles of cells that differ. Raises LimitRefused."""
+    if count > most:
+        raise LimitRefused(
+            f'rung "mesh": about {count:,} triangles of cells that differ are more than the {most:,}'
+            " that are held; use fewer quads or fewer cells"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class MeshTiling:
+    """What the cells of one tiling of a body look like.
+
+    tiles : The tile of equal footprints; then those of single cells.
+    first : (2, n1, n2) ints. Of front and back, as in `CellHeights`, counted from the tiling's first tile.
+    height, normal : of front and back, as in `CellHeights`
+    """
+
+    tiles: list[Tile]
+    first: Ints = field(default_factory=lambda: np.zeros((2, 0, 0), dtype=np.int64))
+    height: tuple[NDArray[np.float32], ...] = ()
+    normal: tuple[Floats, ...] = ()
+
+
+def lay_out_mesh(
+    window: Window, mesh: Mesh, normals: Normals, own_tiling: TilingMaker | None = None
+) -> tuple[Layout, Tiles]:
     """Prepare a window and its mesh for tracing.
 
     window : Window that defines cells, land and baffle; the mesh defines heights.
     normals : "facet" or "vertex". Normals of the facets, or the exact normals at the vertices, interpolated.
+    own_tiling : `own_sheet.own_tiling`, for a non-uniform sheet.
     Raises ValueError: The mesh has other bodies than the window.
     """
     if [body.name for body in mesh.bodies] != [body.name for body in window.bodies]:
         raise ValueError("the mesh was made from a window with other bodies")
     exact = lay_out(window)
-    tiles: list[_Tile] = []
-    of, plans = [], []
-    for plan, body, meshed in zip(exact.bodies, window.bodies, mesh.bodies, strict=True):
-        own = [_tile(body, tiled.maker.tile, plan.level, normals) for tiled in meshed.tiled]
-        sides = [next(k for k, tile in enumerate(own) if _has(tile, side)) for side in (0, 1)]
-        of.append([len(tiles) + k for k in sides])
-        plans.append(_plan(plan, own, sides))
-        tiles += own
-    joined = _joined(tiles, np.array(of))
+    tiles: list[Tile] = []
+    of, plans, sides = [], [], list[tuple[MeshTiling, int, int]]()
+    for plan, meshed in zip(exact.bodies, mesh.bodies, strict=True):
+        make = uniform_tiling if own_tiling is None else own_tiling
+        found = [make(plan.level, meshed, tiled, normals) for tiled in meshed.tiled]
+        starts = len(tiles) + np.cumsum([0, *(len(one.tiles) for one in found)])
+        which = [next(k for k, one in enumerate(found) if _has(one.tiles[0], side)) for side in (0, 1)]
+        of.append([int(starts[k]) for k in which])
+        plans.append(_plan(plan, [one.tiles for one in found], which))
+        sides += [(found[k], side, int(starts[k])) for side, k in enumerate(which)]
+        tiles += [tile for one in found for tile in one.tiles]
+    own = None if own_tiling is None else _cell_heights(sides, tiles)
+    joined = _joined(tiles, np.array(of), own)
     bodies = (_tiled(plan, joined, one) for plan, one in zip(plans, of, strict=True))
     return replace(exact, bodies=tuple(bodies)), joined
+
+
+def uniform_tiling(level: float, meshed: BodyMesh, tiled: Tiled, normals: Normals) -> MeshTiling:
+    """One tiling, of identical cells, of a body at a level."""
+    return MeshTiling([make_tile(meshed.body, tiled.maker.tile, level, normals)])
+
+
+def _cell_heights(sides: list[tuple[MeshTiling, int, int]], tiles: list[Tile]) -> CellHeights:
+    """Heights of all faces in one list: a tiling, one of its sides, and its first tile, face by face."""
+    firsts, start = [], 0
+    for tiling, side, tile in sides:
+        first = tiling.first[side]
+        firsts.append(np.where(first >= 0, first + start, np.where(first <= BY_TILE, first - tile, first)))
+        start += len(tiling.height[side])
+    corner = np.concatenate([tile.triangles for tile in tiles])
+    height, normal = (
+        np.ascontiguousarray(np.concatenate([getattr(tiling, name)[side] for tiling, side, _ in sides]))
+        for name in ("height", "normal")
+    )
+    return CellHeights(np.array(firsts), height, corner, normal)
 
 
 def _tiled(plan: BodyPlan, tiles: Tiles, of: list[int]) -> BodyPlan:
@@ -133,11 +214,11 @@ def _tiled(plan: BodyPlan, tiles: Tiles, of: list[int]) -> BodyPlan:
     return replace(plan, front=front, back=back)
 
 
-def _has(tile: _Tile, side: int) -> bool:
+def _has(tile: Tile, side: int) -> bool:
     return bool(np.isfinite(tile.heights[..., side]).any())
 
 
-def _tile(body: Body, prototile: Prototile, level: float, normals: Normals) -> _Tile:
+def make_tile(body: Body, prototile: Prototile, level: float, normals: Normals) -> Tile:
     """Read a prototile: footprint, levels, parts."""
     plan, step = prototile.plan, prototile.step
     levels = prototile.corner_levels()
@@ -148,7 +229,18 @@ def _tile(body: Body, prototile: Prototile, level: float, normals: Normals) -> _
         normal = per_point[plan.triangles].transpose(0, 2, 1, 3)
     part = prototile.part
     front, back = (np.nan if abs(flat) > BEYOND else flat * step - level for flat in prototile.land)
-    return _Tile(plan.xy[plan.triangles], heights, plan.triangles, part, normal, (front, back))
+    corners = plan.xy[plan.triangles]
+    reach = np.array([reach_of(corners, heights[..., side], part[:, side] == LENS) for side in (0, 1)])
+    return Tile(corners, heights, plan.triangles, part, normal, (front, back), reach)
+
+
+def reach_of(corners: Floats, heights: Floats, lens: Bools) -> tuple[float, float, float]:
+    """Lowest and highest of heights (m, 3), and the steepest slope of the facets of the lens."""
+    if not np.isfinite(heights).any():
+        return np.nan, np.nan, 0.0
+    a, b, _ = _planes(corners, heights).T
+    steepest = float(np.hypot(a, b)[lens].max(initial=0.0))
+    return float(np.nanmin(heights)), float(np.nanmax(heights)), steepest
 
 
 def _vertex_normals(face: Face, xy: Floats) -> Floats:
@@ -157,14 +249,14 @@ def _vertex_normals(face: Face, xy: Floats) -> Floats:
     return lens_height_and_normal(face, xy[:, 0], xy[:, 1])[1]
 
 
-def _plan(plan: BodyPlan, tiles: list[_Tile], sides: list[int]) -> BodyPlan:
-    """Body with the mesh's bounds in place of the lenses'."""
+def _plan(plan: BodyPlan, tiles: list[list[Tile]], sides: list[int]) -> BodyPlan:
+    """Body with the mesh's bounds in place of the lenses'; `tiles` of each of its tilings."""
     front, back = (
         _plan_face(face, tiles[k], side)
         for side, (face, k) in enumerate(zip((plan.front, plan.back), sides, strict=True))
     )
-    whole = all(not (tile.part == VOID).any() for tile in tiles)
-    pad = 1e-9 * float(np.ptp(tiles[0].corners))
+    whole = all(not (tile.part == VOID).any() for tiling in tiles for tile in tiling)
+    pad = 1e-9 * float(np.ptp(tiles[0][0].corners))
     return replace(
         plan,
         front=front,
@@ -176,22 +268,20 @@ def _plan(plan: BodyPlan, tiles: list[_Tile], sides: list[int]) -> BodyPlan:
     )
 
 
-def _plan_face(face: FacePlan, tile: _Tile, side: int) -> FacePlan:
-    heights, lens = tile.heights[..., side], tile.part[:, side] == LENS
-    a, b, _ = _planes(tile.corners, heights).T
-    steepest = float(np.hypot(a, b)[lens].max(initial=0.0)) if face.array is not None else 0.0
-    land = tile.land[side] if face.array is not None else face.land
-    low, high = float(np.fmin(np.nanmin(heights), land)), float(np.fmax(np.nanmax(heights), land))
+def _plan_face(face: FacePlan, tiles: list[Tile], side: int) -> FacePlan:
+    land = tiles[0].land[side] if face.array is not None else face.land
+    lows, highs, slopes = np.array([tile.reach[side] for tile in tiles]).T
     return replace(
         face,
         surface=PLANE,
         vertex=(0.0, 0.0, 0.0),
         rotation=None,
-        low=low,
-        high=high,
-        slope=steepest * (1.0 + 1e-12),
-        whole=bool(lens.all()),
+        low=float(np.fmin(lows.min(), land)),
+        high=float(np.fmax(highs.max(), land)),
+        slope=float(slopes.max()) * (1.0 + 1e-12) if face.array is not None else 0.0,
+        whole=all(bool((tile.part[:, side] == LENS).all()) for tile in tiles),
         land=land,
+        change=None,
     )
 
 
@@ -205,7 +295,7 @@ def _planes(corners: Floats, heights: Floats) -> Floats:
     return np.stack([a, b, heights[:, 0] - a * corners[:, 0, 0] - b * corners[:, 0, 1]], axis=1)
 
 
-def _weights(corners: Floats) -> Floats:
+def weights_of(corners: Floats) -> Floats:
     """Coefficients (m, 3, 3) of the barycentric coordinates."""
     return np.stack([_planes(corners, np.eye(3)[k] + 0.0 * corners[:, :, 0]) for k in range(3)], axis=1)
 
@@ -234,7 +324,7 @@ def _binned(corners: Floats) -> tuple[list[float], Ints, Ints]:
     across = last - first + 1  # bins that contain a facet, along x and y
     facets, bins = over_bins(np.arange(len(corners)), first, across, count)
     middle = low + width * (np.stack([bins % count, bins // count], axis=1) + 0.5)
-    weights = _weights(corners)[facets]
+    weights = weights_of(corners)[facets]
     deep = (np.einsum("mkc,mc->mk", weights[..., :2], middle) + weights[..., 2]).min(axis=1)
     order = np.lexsort([-deep, bins])
     start = np.searchsorted(bins[order], np.arange(count * count + 1))
@@ -275,7 +365,7 @@ def _halves(corners: Floats, table: list[float]) -> tuple[float, Ints]:
     return best, found
 
 
-def _joined(tiles: list[_Tile], of: Ints) -> Tiles:
+def _joined(tiles: list[Tile], of: Ints, own: CellHeights | None) -> Tiles:
     """Concatenate tilings in the arrays of `Tiles`; `of` (bodies, 2): tile of each front and back."""
     table: list[list[float]] = []
     starts, members, facets = [np.zeros(1, dtype=np.int64)], list[Ints](), 0
@@ -296,7 +386,7 @@ def _joined(tiles: list[_Tile], of: Ints) -> Tiles:
     return Tiles(
         table=np.array(table),
         of=of,
-        weight=np.concatenate([_weights(t.corners) for t in tiles]),
+        weight=np.concatenate([weights_of(t.corners) for t in tiles]),
         beside=np.concatenate(beside),
         plane=plane,
         part=part,
@@ -305,6 +395,7 @@ def _joined(tiles: list[_Tile], of: Ints) -> Tiles:
         half=half,
         lens=np.where(((half >= 0)[:, None] & (part[half] == LENS))[..., None], plane[half], np.nan),
         normal=np.ascontiguousarray(np.concatenate([t.normal for t in tiles])),
+        own=own,
     )
 
 

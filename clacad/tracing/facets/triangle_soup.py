@@ -20,10 +20,9 @@ from clacad.base.types import Floats, Ints
 from clacad.base.vectors import doubled_normals
 from clacad.sheet.cell_places import CellPlacement
 from clacad.sheet.window import WALL, Window
-from clacad.storage.errors import LimitRefused
 from clacad.tracing.facets.hierarchy import hierarchy
 from clacad.tracing.facets.squares import Triangles, find_squares
-from clacad.tracing.facets.tiles import Normals, lay_out_mesh
+from clacad.tracing.facets.tiles import Normals, Tiles, lay_out_mesh, refuse_many
 from clacad.tracing.layout import BodyPlan, Layout, lay_out, prepared
 
 UNITS = (1.0, 1000.0, 0.001, 25.4, 1.0 / 25.4)
@@ -206,7 +205,6 @@ def _pieces(corners: Floats) -> Ints:
 if TYPE_CHECKING:
     from clacad.mesh import Mesh
     from clacad.tracing.facets.squares import Triangles
-    from clacad.tracing.facets.tiles import Normals, Tiles
 
     AnyMesh = Mesh | TriangleSoup | str | os.PathLike[str]
 
@@ -225,12 +223,19 @@ class Facets:
     layout: Layout
     found_in: Tiles | Triangles
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the heights of cells that differ, or of the triangles."""
+        held = self.found_in
+        own = held.own if isinstance(held, Tiles) else held.trees
+        return 0 if own is None else sum(one.nbytes for one in own)
+
 
 def facets_of(window: Window, mesh: AnyMesh | int | Facets, normals: Normals) -> Facets:
     """Triangles ready for rays through a window; the last ones are kept with the window.
 
-    For a non-uniform sheet they are those of a sheet without an end; the tracer finds cells afterwards from
-    the points met.
+    Triangles from any source are, for a non-uniform sheet, those of a sheet without an end; the tracer finds
+    cells afterwards from the points met.
 
     Raises ValueError: The mesh has other bodies than the window, no normals where vertex normals are
         requested, or no unit that fits; or the requested number of quads cannot be made.
@@ -265,30 +270,27 @@ def _laid_out(window: Window, mesh: AnyMesh | int, normals: Normals) -> Facets:
         mesh = tessellate(window, quads=mesh)
     elif isinstance(mesh, (str, os.PathLike)):
         mesh = read_soup(mesh, window)
-    if not window.uniform:
-        mesh = mesh if isinstance(mesh, TriangleSoup) else own_soup(mesh, normals)
-        layout, triangles = lay_out_soup(window, mesh, normals)
-        return Facets(endless_layout(layout), triangles)
-    if isinstance(mesh, TriangleSoup):
-        return Facets(*lay_out_soup(window, mesh, normals))
-    return Facets(*lay_out_mesh(window, mesh, normals))
+    if not isinstance(mesh, TriangleSoup) and not any(place.turn for place in window.placements):
+        if window.uniform:
+            return Facets(*lay_out_mesh(window, mesh, normals))
+        from clacad.tracing.facets.own_sheet import own_tiling
+
+        return Facets(*lay_out_mesh(window, mesh, normals, own_tiling))
+    mesh = mesh if isinstance(mesh, TriangleSoup) else own_soup(mesh, normals)
+    layout, triangles = lay_out_soup(window, mesh, normals)
+    return Facets(layout if window.uniform else endless_layout(layout), triangles)
 
 
 MOST_FACETS = 4_000_000
-"""Largest number of triangles of a sheet that are held for tracing, none of them a copy of another."""
+"""Largest number of triangles in trees that are held for tracing, none of them a copy of another."""
 
 ENDLESS = 1_000_001
 """Cells in each direction of a sheet so wide that no light passes outside it."""
 
 
 def own_soup(mesh: Mesh, normals: Normals) -> TriangleSoup:
-    """All the triangles of a sheet's own mesh. Raises LimitRefused: More than `MOST_FACETS` triangles."""
-    count = sum(body.facets_about for body in mesh.bodies)
-    if count > MOST_FACETS:
-        raise LimitRefused(
-            f'rung "mesh": about {count:,} triangles of cells that differ are more than the {MOST_FACETS:,}'
-            " that are held; use fewer quads or fewer cells"
-        )
+    """All the triangles of the mesh of a sheet with turned arrays. Raises LimitRefused: Too many."""
+    refuse_many(sum(body.facets_about for body in mesh.bodies), MOST_FACETS)
     from clacad.mesh.tessellation import shaded_portions
 
     smooth = normals == "vertex"

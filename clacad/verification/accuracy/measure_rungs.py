@@ -252,7 +252,7 @@ def own_mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
     """Facets of a non-uniform sheet: those of the cells that its light enters, and of their neighbours."""
     from clacad.formats.mesh.stl import stl_bytes
     from clacad.mesh import tessellate
-    from clacad.tracing.facets.triangle_soup import own_soup
+    from clacad.tracing.facets.triangle_soup import facets_of
     from clacad.tracing.trace import trace
 
     window, rays, rows = ladder.window, ladder.rays, []
@@ -261,12 +261,13 @@ def own_mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
     whole = tessellate(window, quads=quads)
     mesh = whole.part(_cells_about(window, ladder.truth))
     cut = time.process_time() - began
+    triangles = sum(body.facets_about for body in mesh.bodies)
     file_bytes = stl_bytes(sum(body.facets_about for body in whole.bodies))
     for normal in normals:
         began = time.process_time()
-        soup = own_soup(mesh, normal)
+        facets = facets_of(window, mesh, normal)
         prepare = cut + time.process_time() - began
-        run = partial(trace, window, rays, rung="mesh", mesh=soup, normals=normal)
+        run = partial(trace, window, rays, rung="mesh", mesh=facets, normals=normal)
         rows.append(
             row(
                 ladder,
@@ -276,9 +277,9 @@ def own_mesh_rows(ladder: TracedRays, quads: int) -> list[AccuracyRow]:
                 prepare,
                 quads=quads,
                 normals=normal,
-                triangles=len(soup.corners),
+                triangles=triangles,
                 own_cells=True,
-                bytes=soup.corners.nbytes,
+                bytes=facets.nbytes,
                 file_bytes=file_bytes if normal == "facet" else None,
             )
         )
