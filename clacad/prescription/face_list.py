@@ -96,10 +96,10 @@ def _poses(intent: Intent) -> list[LensPose]:
     """
     faces, law, pair = intent.design.pair.face, intent.law, intent.design.pair
     z = vertices_of(faces)
-    tilts = intent.laws.angles_of(intent.lattice, intent.lattice.cells())[..., 1]
-    if (tilts != law.theta).any() and any(face.array is None for face in faces):
+    if (intent.tilts != law.theta).any() and any(face.array is None for face in faces):
         raise NoSuchLens(
-            "cells lean by different angles over planes under the whole sheet, which bend each axis otherwise",
+            "cells lean by different angles over planes under the whole sheet, which bend each axis"
+            " otherwise",
             key=LAW.varying,
             hint="a table without the column theta, or a list of faces without planes",
             code="CL114",

@@ -66,10 +66,17 @@ class Intent:
         return np.concatenate([[(eta_x, eta_y)], etas])
 
     @cached_property
+    def tilts(self) -> Floats:
+        """Tilts θ (m,) of the lenses of the law and, where a table states angles, of all cells; radians."""
+        if self.laws.angles is None:
+            return np.array([self.law.theta])
+        angles = self.laws.angles_of(self.lattice, self.lattice.cells())
+        return np.append(self.law.theta, angles[..., 1])
+
+    @property
     def steepest(self) -> float:
         """Greatest tangent of the tilt of a lens."""
-        angles = self.laws.angles_of(self.lattice, self.lattice.cells())
-        return float(np.abs(np.tan([self.law.theta, *angles[..., 1].ravel()])).max())
+        return float(np.abs(np.tan(self.tilts)).max())
 
     @property
     def neck(self) -> float:

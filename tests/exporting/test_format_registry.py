@@ -62,7 +62,7 @@ OTHER_MEANINGS = {
     "stl": {"exporting/request.py"},  # a default
     "table": {"cli/shape_command.py", "config/edit_text.py", "config/mistakes.py", "design/varying.py",
               "optics/material/catalogue.py", "optics/material/material.py", "report/pdf.py",
-              "checks/file_kinds.py"},  # a check, a key, parts of TOML files, pages and formulas
+              "checks/file_kinds.py", "prescription/cells.py"},  # a check, a key, parts of TOML files, pages and formulas
     "tool": {"checks/design_kinds.py", "explain/look_up.py"},  # the check of the nose, a limit of processes
     "xyz": {"base/interactive.py", "sheet/shrunk.py", "cli/image_command.py", "paper/figure1.py", "judging/mesh_wholeness.py",
             "judging/registration.py"},  # the axes
