@@ -7,6 +7,7 @@ from dataclasses import replace
 from math import ceil, log10
 from typing import TYPE_CHECKING, Literal
 
+from clacad.base.untrusted_files import BUDGETS
 from clacad.exporting.formats.format import (
     ChosenMesh,
     FileKind,
@@ -36,6 +37,9 @@ OWN_CELL_SECONDS = 0.0003
 FUSED_CELL = {"straight": 4700, "hexagonal": 7200, "tilted": 15_000}
 """Bytes per lenslet and body in a fused file; walls of tilted lenslets are wavy."""
 
+BORDER_BYTES = 1600
+"""Text of the border of an assembly for a cell along x and one along y: its edges follow the cells."""
+
 PLACE_BYTES = 580
 """Text of one place of an assembly."""
 
@@ -54,7 +58,9 @@ def _write(job: Job) -> list[FileRecord]:
 
 
 def _seconds(size: int, mode: str) -> float:
-    """Seconds to write STEP text and read it with OCC in a separate process."""
+    """Seconds to write STEP text and read it in a separate process, with OCC where it is not too large."""
+    if size > BUDGETS["step"].bytes:
+        return 0.6 + 6e-8 * size
     return 0.68 + 1.12e-6 * size if mode == "fused" else 0.6 + 3e-6 * size
 
 
@@ -82,9 +88,15 @@ def _forecast(meshes: Meshes, _quads: int, asked: Request) -> Forecast:
 
 def _at_a_glance(window: Window, sheet: RoughSheet, _chosen: ChosenMesh | None) -> Forecast:
     from clacad.formats.step.part21 import chosen_mode
+    from clacad.sheet.representative_cells import sectors_of
 
     mode = chosen_mode(window, "auto")
-    return _row(window, mode, about_number(_rough_bytes(sheet, mode == "fused")))
+    size = _rough_bytes(sheet, mode == "fused" or not window.uniform)
+    if not window.uniform:  # each cell is written out
+        size = int(OWN_CELLS * size) // (1 if mode == "fused" else sectors_of(window))
+    elif mode == "instanced" and window.outline is not None:
+        size += BORDER_BYTES * sum(sheet.count) * sheet.bodies
+    return _row(window, mode, about_number(size))
 
 
 def _row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:
