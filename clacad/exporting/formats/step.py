@@ -88,21 +88,18 @@ def _forecast(meshes: Meshes, _quads: int, asked: Request) -> Forecast:
 
 def _at_a_glance(window: Window, sheet: RoughSheet, _chosen: ChosenMesh | None) -> Forecast:
     from clacad.formats.step.part21 import chosen_mode
-    from clacad.sheet.representative_cells import sectors_of
 
     mode = chosen_mode(window, "auto")
     size = _rough_bytes(sheet, mode == "fused" or not window.uniform)
     if not window.uniform:  # each cell is written out
-        size = int(OWN_CELLS * size) // (1 if mode == "fused" else sectors_of(window))
+        size = int(OWN_CELLS * size) // _copies(window, mode)
     elif mode == "instanced" and window.outline is not None:
         size += BORDER_BYTES * sum(sheet.count) * sheet.bodies
     return _row(window, mode, about_number(size))
 
 
 def _row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Forecast:
-    from clacad.sheet.representative_cells import sectors_of
-
-    copies = 1 if mode == "fused" or window.uniform else sectors_of(window)
+    copies = _copies(window, mode)
     columns = window.lattice.cell_count * len(window.bodies) // copies
     if mode == "fused":
         each = 250_000 if window.uniform else 50_000  # non-uniform: cells are described one by one
@@ -116,21 +113,26 @@ def _row(window: Window, mode: Literal["fused", "instanced"], size: int) -> Fore
     return Forecast(WORD, size, False, None, None, modelled, memory, note=own_cells_note(window, copies))
 
 
+def _copies(window: Window, mode: Literal["fused", "instanced"]) -> int:
+    """Number of turned copies of the cells that the file of a non-uniform sheet holds; else 1."""
+    from clacad.sheet.representative_cells import sectors_of
+
+    return 1 if mode == "fused" or window.uniform else sectors_of(window)
+
+
 def step_bytes(window: Window, mode: Literal["fused", "instanced"], pcurves: bool = True) -> int:
     """Size of the STEP file, from the text of small sheets: it grows as A + B (n1 + n2) + C n1 n2."""
     from clacad.formats.step.step_files import step_text_length
     from clacad.sheet.like_cell import like_cell
     from clacad.sheet.plate import Plate
-    from clacad.sheet.representative_cells import representative_cells, sectors_of
+    from clacad.sheet.representative_cells import representative_cells
 
     n1, n2 = window.lattice.count
     if max(n1, n2) <= 8:
         return step_text_length(window, mode, pcurves)
     if not window.uniform:  # the same number of cells like the outermost one, each written out
         like = like_cell(window, representative_cells(window, "displaced")[0])
-        return int(OWN_CELLS * step_bytes(like, "fused", pcurves)) // (
-            1 if mode == "fused" else sectors_of(window)
-        )
+        return int(OWN_CELLS * step_bytes(like, "fused", pcurves)) // _copies(window, mode)
     if isinstance(window.outline, Plate):
         return _plate_step_bytes(window, window.outline, mode, pcurves)
     if window.lattice.outline is not None:  # a disc: its border is written piece by piece in either mode

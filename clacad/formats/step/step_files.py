@@ -344,8 +344,9 @@ def _rows(
         return runs[power]
 
     made: dict[tuple[float, ...], Part] = {}
-    for pattern in dict.fromkeys(patterns):
-        pieces = [(step, 0) for step in pattern] if len(set(patterns)) == 1 else _runs(pattern)
+    kinds = tuple(dict.fromkeys(patterns))
+    for pattern in kinds:
+        pieces = [(step, 0) for step in pattern] if len(kinds) == 1 else _runs(pattern)
         spots = [(run(power), step * along, f"{name} {n}") for n, (step, power) in enumerate(pieces, 1)]
         made[pattern] = _assembled(part, f"{name} row of {len(pattern)}", spots)
     return [
