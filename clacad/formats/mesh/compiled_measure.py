@@ -211,6 +211,15 @@ def as_written(normals: Singles, corners: Singles, bits: Cells, attributes: Cell
     return True
 
 
+@inlined
+def _copied(source: Bytes, first: int, last: int, out: Bytes, at: int) -> int:
+    """Write source[first:last] into `out` from `at` on; the place behind it."""
+    for k in range(first, last):
+        out[at] = source[k]
+        at += 1
+    return at
+
+
 @entry
 def join_words(words: Ints, letters: Bytes, starts: Ints, between: Bytes, ends: Ints, out: Bytes) -> int:
     """Write lines of three words each into `out`; their length.
@@ -223,14 +232,10 @@ def join_words(words: Ints, letters: Bytes, starts: Ints, between: Bytes, ends: 
     at = 0
     for row in range(len(words)):
         for part in range(4):
-            for k in range(ends[part], ends[part + 1]):
-                out[at] = between[k]
-                at += 1
+            at = _copied(between, ends[part], ends[part + 1], out, at)
             if part < 3:
                 word = words[row, part]
-                for k in range(starts[word], starts[word + 1]):
-                    out[at] = letters[k]
-                    at += 1
+                at = _copied(letters, starts[word], starts[word + 1], out, at)
     return at
 
 
@@ -240,9 +245,7 @@ def join_whole(numbers: Ints, between: Bytes, ends: Ints, out: Bytes) -> int:
     at = 0
     for row in range(len(numbers)):
         for part in range(4):
-            for k in range(ends[part], ends[part + 1]):
-                out[at] = between[k]
-                at += 1
+            at = _copied(between, ends[part], ends[part + 1], out, at)
             if part < 3:
                 value, size = numbers[row, part], 1
                 while value >= 10:
